@@ -1,0 +1,17 @@
+//! datum: where a vehicle's own coordinate system lies, measured from its body.
+//!
+//! Images of a car body go in (one lit by red bars, several by projected fringes); the pose of the
+//! vehicle's ISO 8855 frame comes out, with its covariance, or a code that says why there is none.
+//! Everything between the two is pure: no device, no clock, no state from one vehicle to the next.
+//!
+//! Lengths are millimetres, angles radians (degrees in files and reports), pixels have integer centres.
+
+pub mod geometry;
+pub mod image;
+pub mod optics;
+#[cfg(test)]
+mod testing;
+
+pub use geometry::{Point3, Pose, frame};
+pub use image::Image;
+pub use optics::{Lens, Pixel, Rig};

@@ -1,0 +1,2 @@
+//! The datum program.
+fn main() {}
