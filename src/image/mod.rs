@@ -1,7 +1,9 @@
 //! Grey images. In: PNG bytes or samples. Out: pixels by row, sub-pixel samples.
 //! Not here: lens distortion, anything about what is seen.
 
+mod png;
 
+pub use png::{MAX_SIDE, PngError, PngHeader, read_png, read_png_header, write_png, write_png_rgb};
 
 /// A grey image, row by row, `pixels[y * width + x]`; pixel centres at integers, y down.
 #[derive(Clone, Debug, PartialEq)]
