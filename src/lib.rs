@@ -7,6 +7,7 @@
 //! Lengths are millimetres, angles radians (degrees in files and reports), pixels have integer centres.
 
 pub mod document;
+pub mod fringe;
 pub mod geometry;
 pub mod image;
 pub mod optics;

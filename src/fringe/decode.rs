@@ -1,0 +1,319 @@
+//! Wrapped phase from the sums of one fringe set.
+//! In: complete sums, the camera's noise law. Out: per pixel phase, its variance, level and modulation, or why not.
+//! Method: least squares over the steps that were not saturated; Greivenkamp, "Generalized data reduction for
+//! heterodyne interferometry", Optical Engineering 23 (1984) 350. Not here: which fringe it is.
+
+use super::accumulate::Sums;
+use super::{Accumulator, Error, NoiseLaw, PatternSet};
+use crate::image::Window;
+use nalgebra::{Matrix3, Vector3};
+use rayon::prelude::*;
+use std::sync::OnceLock;
+
+/// What a pixel must show to be believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// Least modulation, in sigmas of one sample.
+    pub modulation_sigmas: f64,
+    /// Least modulation, DN: below it rounding to whole grey levels is no longer noise.
+    pub modulation_dn: f64,
+    /// What a sine-fit residual may hold besides noise: rms of harmonics and flicker over the modulation.
+    /// Gamma 1.1 leaves 0.02, gamma 1.2 0.04.
+    pub harmonics: f64,
+    /// Most that two sets may disagree about the phase, in fringes of the finer; 0.5 would be anything. Three steps
+    /// under gamma disagree systematically, and at a ratio of 16 by 0.3.
+    pub order_residual: f64,
+}
+
+impl Limits {
+    /// What a linear projector, four steps and ratios of eight keep easily.
+    pub const DEFAULT: Self =
+        Self { modulation_sigmas: 4.0, modulation_dn: 2.0, harmonics: 0.04, order_residual: 0.25 };
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
+/// Whether a pixel's phase or depth may be used, and if not, what is wrong.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum State {
+    /// Every check passed.
+    Valid,
+    /// Fewer than three unsaturated steps.
+    Saturated,
+    /// Too little modulation for the noise.
+    #[default]
+    Weak,
+    /// The samples are no sine: light changed or the object moved.
+    NotSine,
+    /// The sets disagree about which fringe it is, or are too noisy to tell.
+    WrongOrder,
+    /// Phase is known, but its ray and the projector's do not meet in front of both.
+    NoDepth,
+}
+
+/// One pixel's phase.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Phase {
+    /// Wrapped phase, rad, −π..=π; NaN unless valid.
+    pub phase: f32,
+    /// Its variance, rad²; NaN unless valid.
+    pub variance: f32,
+    /// A, mean level over one fringe, DN; NaN if saturated.
+    pub level: f32,
+    /// B, DN; NaN if saturated.
+    pub modulation: f32,
+    /// At least one step was saturated.
+    pub saturated: bool,
+    /// What the phase is worth.
+    pub state: State,
+}
+
+/// The phases of one set in one window, row by row.
+#[derive(Clone, Debug)]
+pub struct PhaseMap {
+    /// The set decoded.
+    pub set: PatternSet,
+    /// Where in the image.
+    pub window: Window,
+    /// `window.width * window.height` phases.
+    pub pixels: Vec<Phase>,
+}
+
+/// One map per window of `sums`. The variance propagates `noise` at each step's fitted level through the fit; with
+/// all of four steps or more it is 2σ_I²/(N·B²) with σ_I² at the mean level. Errors where steps are missing.
+pub fn decode(sums: &Accumulator, noise: &NoiseLaw, limits: &Limits) -> Result<Vec<PhaseMap>, Error> {
+    let fits = Fits::new(*sums.set());
+    let map = |s: &Sums| {
+        let pixels = s.sums.par_iter().zip(&s.saturated).with_min_len(1024);
+        let pixels = pixels.map(|(sums, &saturated)| fits.phase(sums, saturated, noise, limits)).collect();
+        PhaseMap { set: *sums.set(), window: s.window, pixels }
+    };
+    Ok(sums.complete()?.iter().map(map).collect())
+}
+
+/// The least-squares fits of one set, one per mask of saturated steps, made when first met.
+pub(super) struct Fits {
+    set: PatternSet,
+    by_mask: Vec<OnceLock<Option<Box<Fit>>>>,
+}
+
+/// I_k = w_k·x, with w_k = (1, cos θ_k, −sin θ_k) and x = (A, B·cos φ, B·sin φ).
+struct Fit {
+    /// (Σ w·wᵀ)⁻¹.
+    inverse: Matrix3<f64>,
+    /// Per step used: w_k, and its weight in the answer: x = Σ I_k·h_k.
+    steps: Vec<(Vector3<f64>, Vector3<f64>)>,
+}
+
+/// What the fit of one pixel says.
+struct Sine {
+    x: Vector3<f64>,
+    residual: f64,
+}
+
+impl Fits {
+    pub(super) fn new(set: PatternSet) -> Self {
+        Self { set, by_mask: (0..1 << set.steps).map(|_| OnceLock::new()).collect() }
+    }
+
+    fn fit(&self, saturated: u16) -> Option<&Fit> {
+        let make = || {
+            let w = |k| {
+                let (sin, cos) = self.set.shift(k).sin_cos();
+                Vector3::new(1.0, cos, -sin)
+            };
+            let used: Vec<_> = (0..self.set.steps).filter(|k| saturated >> k & 1 == 0).map(w).collect();
+            if used.len() < 3 {
+                return None;
+            }
+            let normal: Matrix3<f64> = used.iter().map(|w| w * w.transpose()).sum();
+            let inverse = normal.try_inverse()?;
+            Some(Box::new(Fit { inverse, steps: used.into_iter().map(|w| (w, inverse * w)).collect() }))
+        };
+        self.by_mask[usize::from(saturated)].get_or_init(make).as_deref()
+    }
+
+    /// Level and residual variance (DN², mean over the degrees of freedom) of an unsaturated pixel; `None` where
+    /// there is no freedom.
+    pub(super) fn residual(&self, sums: &[f32; 4], saturated: u16) -> Option<(f64, f64)> {
+        let freedom = self.set.steps.checked_sub(3).filter(|&f| f > 0 && saturated == 0)?;
+        let sine = self.fit(0)?.solve(sums);
+        Some((sine.x[0], sine.residual / f64::from(freedom)))
+    }
+
+    fn phase(&self, sums: &[f32; 4], saturated: u16, noise: &NoiseLaw, limits: &Limits) -> Phase {
+        let nothing = Phase {
+            phase: f32::NAN,
+            variance: f32::NAN,
+            level: f32::NAN,
+            modulation: f32::NAN,
+            saturated: saturated != 0,
+            state: State::Saturated,
+        };
+        let Some(fit) = self.fit(saturated) else { return nothing };
+        let Sine { x, residual } = fit.solve(sums);
+        let (level, modulation) = (x[0], x[1].hypot(x[2]));
+        let seen = Phase { level: level as f32, modulation: modulation as f32, ..nothing };
+
+        let one_sample = noise.variance(level);
+        if modulation < limits.modulation_dn.max(limits.modulation_sigmas * one_sample.sqrt()) {
+            return Phase { state: State::Weak, ..seen };
+        }
+        let gradient = Vector3::new(0.0, -x[2], x[1]) / (modulation * modulation); // of atan2(x2, x1)
+        let share = |(w, h): &(Vector3<f64>, Vector3<f64>)| gradient.dot(h).powi(2) * noise.variance(w.dot(&x));
+        let variance: f64 = fit.steps.iter().map(share).sum();
+        // A few neighbouring steps tell a sine badly: no worse than a full set of the least modulation.
+        if variance * limits.modulation_sigmas.powi(2) > 1.0 {
+            return Phase { state: State::Weak, ..seen };
+        }
+        let freedom = fit.steps.len() as f64 - 3.0;
+        let spread = one_sample + (limits.harmonics * modulation).powi(2);
+        if freedom > 0.0 && residual > spread * implausible_chi2(freedom) {
+            return Phase { state: State::NotSine, ..seen };
+        }
+        Phase { phase: x[2].atan2(x[1]) as f32, variance: variance as f32, state: State::Valid, ..seen }
+    }
+}
+
+impl Fit {
+    fn solve(&self, &[i, cos, sin, square]: &[f32; 4]) -> Sine {
+        let rhs = Vector3::new(f64::from(i), f64::from(cos), -f64::from(sin));
+        let x = self.inverse * rhs;
+        Sine { x, residual: (f64::from(square) - x.dot(&rhs)).max(0.0) }
+    }
+}
+
+/// A chi² that noise alone exceeds about once in 10⁴ pixels.
+fn implausible_chi2(freedom: f64) -> f64 {
+    freedom + 4.0 * (2.0 * freedom).sqrt() + 8.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::testing::{Random, planted};
+    use super::*;
+    use crate::fringe::Axis;
+    use std::f64::consts::{PI, TAU};
+
+    const NOISE: NoiseLaw = NoiseLaw { gain: 0.036, variance0: 0.2, black: 0.0 };
+
+    fn set(steps: u32) -> PatternSet {
+        PatternSet::new(Axis::Column, 1, steps).expect("legal")
+    }
+
+    fn one(sums: &Accumulator) -> PhaseMap {
+        decode(sums, &NOISE, &Limits::default()).expect("complete").remove(0)
+    }
+
+    /// Phase errors of the valid pixels over their stated sigma: (how many, mean, standard deviation).
+    fn errors(map: &PhaseMap, truth: impl Fn(usize) -> f64) -> (usize, f64, f64) {
+        let error = |(i, p): (usize, &Phase)| {
+            let e = f64::from(p.phase) - truth(i);
+            (e - TAU * (e / TAU).round()) / f64::from(p.variance).sqrt()
+        };
+        let valid = map.pixels.iter().enumerate().filter(|(_, p)| p.state == State::Valid);
+        let e: Vec<f64> = valid.map(error).collect();
+        let mean = e.iter().sum::<f64>() / e.len() as f64;
+        let std = (e.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / e.len() as f64).sqrt();
+        (e.len(), mean, std)
+    }
+
+    #[test]
+    fn phase_errors_follow_the_noise_law_without_bias() {
+        for steps in [3, 4, 8] {
+            for (level, modulation) in [(80.0, 60.0), (45.0, 30.0), (15.0, 8.0)] {
+                let n = 20_000;
+                let phase = |i: usize| TAU * (i as f64 * 0.618).fract() - PI;
+                let mut random = Random(7);
+                let map = one(&planted(set(steps), n, |i| (level, modulation, phase(i)), &NOISE, Some(&mut random)));
+                let (valid, mean, std) = errors(&map, phase);
+                assert!(valid > n * 998 / 1000, "{steps} steps, B {modulation}: {valid} valid");
+                assert!(mean.abs() < 0.03, "{steps} steps, B {modulation}: bias {mean} sigma");
+                assert!((0.95..1.05).contains(&std), "{steps} steps, B {modulation}: {std} of the stated sigma");
+                let law = 2.0 * NOISE.variance(level) / (f64::from(steps) * modulation * modulation);
+                let stated = map.pixels.iter().filter(|p| p.state == State::Valid).map(|p| f64::from(p.variance));
+                let stated = stated.sum::<f64>() / valid as f64;
+                assert!((stated / law - 1.0).abs() < 0.03, "{steps} steps, B {modulation}: {stated} for {law}");
+            }
+        }
+    }
+
+    #[test]
+    fn three_steps_are_noisy_where_their_steep_samples_are_bright() {
+        let stated = [0.0, PI / 3.0].map(|phase| {
+            let n = 20_000;
+            let map = one(&planted(set(3), n, |_| (80.0, 60.0, phase), &NOISE, Some(&mut Random(17))));
+            let (valid, _, std) = errors(&map, |_| phase);
+            assert!(valid == n && (0.95..1.05).contains(&std), "{std} of the stated sigma at {phase}");
+            map.pixels.iter().map(|p| f64::from(p.variance)).sum::<f64>() / n as f64
+        });
+        assert!(stated[1] > 1.7 * stated[0], "{stated:?}"); // shot noise: 1 ± B / 2A of the mean
+    }
+
+    #[test]
+    fn any_one_saturated_step_of_four_still_decodes_with_the_right_variance() {
+        for step in 0..4 {
+            // Only this step exceeds 255.
+            let phase = |i: usize| 0.7 * ((i as f64 * 0.618).fract() - 0.5) - set(4).shift(step);
+            let n = 20_000;
+            let map = one(&planted(set(4), n, |i| (180.0, 110.0, phase(i)), &NOISE, Some(&mut Random(11))));
+            assert!(map.pixels.iter().all(|p| p.saturated));
+            let (valid, mean, std) = errors(&map, phase);
+            assert!(valid > n * 998 / 1000 && mean.abs() < 0.03, "step {step}: {valid} valid, bias {mean}");
+            assert!((0.95..1.05).contains(&std), "step {step}: {std} of the stated sigma");
+        }
+    }
+
+    #[test]
+    fn three_neighbouring_steps_at_the_foot_of_a_saturated_sine_are_weak() {
+        let map = one(&planted(set(16), 1, |_| (274.6, 22.0, PI), &NOISE, None)); // 254, 253, 254, the rest saturated
+        assert!(map.pixels[0].state == State::Weak && map.pixels[0].modulation > 13.0, "{:?}", map.pixels[0]);
+    }
+
+    #[test]
+    fn two_saturated_steps_of_four_are_invalid() {
+        let map = one(&planted(set(4), 1, |_| (200.0, 110.0, -PI / 4.0), &NOISE, None));
+        let p = map.pixels[0];
+        assert!(p.state == State::Saturated && p.saturated && p.phase.is_nan() && p.variance.is_nan(), "{p:?}");
+    }
+
+    #[test]
+    fn clean_rounded_signals_and_mild_gamma_are_sines_and_a_moved_edge_is_none() {
+        for steps in [4, 5, 8, 16] {
+            let phase = |i: usize| TAU * i as f64 / 500.0;
+            let quiet = NoiseLaw { gain: 0.0, variance0: 1.0 / 12.0, black: 0.0 };
+            let clean = planted(set(steps), 500, |i| (60.0, 40.0, phase(i)), &NOISE, None);
+            let map = &decode(&clean, &quiet, &Limits::default()).expect("complete")[0];
+            assert!(map.pixels.iter().all(|p| p.state == State::Valid), "clean, {steps} steps");
+
+            let mut gamma = Accumulator::new(set(steps), 255, &[Window::whole(500, 1)]).expect("legal");
+            let mut moved = gamma.clone();
+            for step in 0..steps {
+                let light = |i| 0.5 + 0.5 * (phase(i) + set(steps).shift(step)).cos();
+                let image = |f: &dyn Fn(usize) -> f64| crate::Image {
+                    width: 500,
+                    height: 1,
+                    pixels: (0..500).map(|i| f(i).round() as u16).collect(),
+                };
+                gamma.add(step, &image(&|i| 20.0 + 180.0 * light(i).powf(1.2))).expect("fits");
+                let half = if step >= steps / 2 { 0.4 } else { 1.0 };
+                moved.add(step, &image(&|i| 20.0 + 180.0 * light(i) * half)).expect("fits");
+            }
+            assert!(one(&gamma).pixels.iter().all(|p| p.state == State::Valid), "gamma, {steps} steps");
+            let caught = one(&moved).pixels.iter().filter(|p| p.state == State::NotSine).count();
+            assert!(caught > 300, "moved, {steps} steps: {caught} of 500");
+        }
+    }
+
+    #[test]
+    fn light_without_fringes_is_weak() {
+        let mut random = Random(3);
+        let map = one(&planted(set(4), 5000, |_| (120.0, 0.0, 0.0), &NOISE, Some(&mut random)));
+        let weak = map.pixels.iter().filter(|p| p.state == State::Weak && p.phase.is_nan()).count();
+        assert!(weak >= 4999, "{weak}");
+    }
+}

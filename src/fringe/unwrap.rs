@@ -1,0 +1,274 @@
+//! Absolute phase: which fringe each wrapped phase belongs to.
+//! In: phase maps of one window, coarse to fine along one axis. Out: per pixel the projector coordinate that lights it.
+//! Hierarchical temporal unwrapping; Zuo et al., "Temporal phase unwrapping algorithms for fringe projection
+//! profilometry: a comparative review", Optics and Lasers in Engineering 85 (2016) 84.
+
+use super::{Axis, Error, Limits, Phase, PhaseMap, State};
+use crate::image::Window;
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// A wrong order goes unnoticed once the error passes 1 − `Limits::order_residual` fringes: so many sigmas away.
+const ORDER_SIGMAS: f64 = 4.0;
+
+/// One pixel's projector coordinate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Coordinate {
+    /// Projector column or row, px, integers are pixel centres, −0.5..extent − 0.5; NaN unless valid.
+    pub value: f64,
+    /// Its variance, px²; NaN unless valid.
+    pub variance: f32,
+    /// Mean level of the finest set, DN.
+    pub level: f32,
+    /// Modulation of the finest set, DN.
+    pub modulation: f32,
+    /// A step of the finest set was saturated.
+    pub saturated: bool,
+    /// What the coordinate is worth.
+    pub state: State,
+    /// Coarse sets saturated, the finest valid: its phase (rad) and variance (rad²), for a prediction to order.
+    pub unordered: Option<(f32, f32)>,
+}
+
+/// Projector coordinates of one window, row by row.
+#[derive(Clone, Debug)]
+pub struct CoordinateMap {
+    /// Column or row.
+    pub axis: Axis,
+    /// Length of one fringe of the finest set, projector px.
+    pub pitch: f64,
+    /// Where in the image.
+    pub window: Window,
+    /// `window.width * window.height` coordinates.
+    pub pixels: Vec<Coordinate>,
+    /// The projector's px along the axis.
+    pub extent: usize,
+}
+
+/// Projector coordinates along `axis` from `maps`: the sets of one window in any order; those of the other axis are
+/// left alone. `extent`: the projector's px along the axis. Of sets of equal count each pixel takes the phase of
+/// least variance. A pixel whose sets disagree by `limits.order_residual`, or are too noisy to agree, is invalid.
+/// Errors where no set has the axis, or none of them has count 1. Panics if the windows differ.
+pub fn unwrap(maps: &[PhaseMap], axis: Axis, extent: usize, limits: &Limits) -> Result<CoordinateMap, Error> {
+    let mut sets: Vec<&PhaseMap> = maps.iter().filter(|m| m.set.axis == axis).collect();
+    sets.sort_by_key(|m| m.set.count);
+    let (Some(first), Some(last)) = (sets.first(), sets.last()) else { return Err(Error::NoSet { axis }) };
+    if first.set.count != 1 {
+        return Err(Error::Ambiguous { axis, lowest: first.set.count });
+    }
+    assert!(sets.iter().all(|m| m.window == first.window), "phase maps of different windows");
+    let levels: Vec<&[&PhaseMap]> = sets.chunk_by(|a, b| a.set.count == b.set.count).collect();
+    let mut map =
+        CoordinateMap { axis, pitch: last.set.pitch(extent), window: first.window, pixels: Vec::new(), extent };
+    let pixel = |i| coordinate(&levels, i, &map, limits.order_residual);
+    let pixels = (0..first.pixels.len()).into_par_iter().with_min_len(1024).map(pixel).collect();
+    map.pixels = pixels;
+    Ok(map)
+}
+
+fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, most: f64) -> Coordinate {
+    let finest = best(levels[levels.len() - 1], i);
+    let mut out = Coordinate {
+        value: f64::NAN,
+        variance: f32::NAN,
+        level: finest.level,
+        modulation: finest.modulation,
+        saturated: finest.saturated,
+        state: finest.state,
+        unordered: None,
+    };
+    if finest.state != State::Valid {
+        return out;
+    }
+    let mut phase = 0.0; // absolute, of a set of count 0: it knows nothing, and every phase agrees with it
+    let mut variance = 0.0;
+    let mut count = 0.0;
+    for level in levels {
+        let p = best(level, i);
+        if p.state != State::Valid {
+            out.state = p.state;
+            out.unordered = (p.state == State::Saturated).then_some((finest.phase, finest.variance));
+            return out;
+        }
+        let (wrapped, own) = (f64::from(p.phase), f64::from(p.variance));
+        let finer = f64::from(level[0].set.count);
+        if count == 0.0 {
+            phase = wrapped.rem_euclid(TAU);
+        } else {
+            let ratio = finer / count;
+            let Some(ordered) = in_order(wrapped, phase * ratio, variance * ratio * ratio + own, most) else {
+                out.state = State::WrongOrder;
+                return out;
+            };
+            phase = ordered.rem_euclid(TAU * finer); // past the last fringe the cosine starts again
+        }
+        (variance, count) = (own, finer);
+    }
+    out.set(phase, variance as f32, map.pitch);
+    out
+}
+
+/// The phase of `sets`, all of one count, with the least variance; if none is valid a saturated one.
+fn best<'a>(sets: &[&'a PhaseMap], i: usize) -> &'a Phase {
+    let rank = |p: &Phase| match p.state {
+        State::Valid => p.variance,
+        State::Saturated => f32::MAX,
+        _ => f32::INFINITY,
+    };
+    let phases = sets.iter().map(|m| &m.pixels[i]);
+    phases.min_by(|a, b| rank(a).total_cmp(&rank(b))).expect("a level has a set")
+}
+
+/// `wrapped` plus the whole turns that bring it nearest `expected` (rad); `None` unless they agree to `most` turns, and
+/// `variance` (rad², of their difference) lets them.
+fn in_order(wrapped: f64, expected: f64, variance: f64, most: f64) -> Option<f64> {
+    let turns = (expected - wrapped) / TAU;
+    let sure = ORDER_SIGMAS * variance.sqrt() < (1.0 - most) * TAU;
+    (sure && (turns - turns.round()).abs() < most).then(|| wrapped + TAU * turns.round())
+}
+
+impl Coordinate {
+    fn set(&mut self, phase: f64, variance: f32, pitch: f64) {
+        self.value = phase / TAU * pitch - 0.5;
+        self.variance = variance * ((pitch / TAU) * (pitch / TAU)) as f32;
+        self.state = State::Valid;
+    }
+}
+
+impl CoordinateMap {
+    /// Orders the fringes of pixels whose coarse sets were saturated, and only those, by what `expected` says of the
+    /// projector coordinate (px) at image pixel (x, y), from a coarse surface of the body. Elsewhere the coarse sets
+    /// have spoken: what they refused would alias onto that surface. Where `expected` is `None`, off the projector's
+    /// image or `limits.order_residual` from the phase, the pixel stays invalid. Gives back how many became valid.
+    pub fn predict(&mut self, limits: &Limits, expected: impl Fn(usize, usize) -> Option<f64> + Sync) -> usize {
+        let (window, pitch, extent, most) = (self.window, self.pitch, self.extent, limits.order_residual);
+        let order = |(i, pixel): (usize, &mut Coordinate)| {
+            let Some((wrapped, variance)) = pixel.unordered else { return 0 };
+            let (x, y) = (window.x + i % window.width, window.y + i / window.width);
+            let inside = |c: &f64| (-0.5..extent as f64 - 0.5).contains(c);
+            let Some(expected) = expected(x, y).filter(inside) else { return 0 };
+            let phase = in_order(f64::from(wrapped), (expected + 0.5) / pitch * TAU, f64::from(variance), most);
+            let Some(phase) = phase.filter(|p| inside(&(p / TAU * pitch - 0.5))) else { return 0 };
+            pixel.set(phase, variance, pitch);
+            pixel.unordered = None;
+            1
+        };
+        self.pixels.par_iter_mut().enumerate().with_min_len(1024).map(order).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fringe::PatternSet;
+
+    const EXTENT: usize = 1280;
+    const LIMITS: Limits = Limits::DEFAULT;
+
+    /// Phase maps in which pixel i is lit by `at(i)`.
+    fn maps(counts: &[u32], at: impl Fn(usize) -> f64) -> Vec<PhaseMap> {
+        let window = Window { x: 3, y: 5, width: EXTENT, height: 1 };
+        let map = |&count: &u32| {
+            let set = PatternSet::new(Axis::Column, count, 4).expect("legal");
+            let phase = |i| {
+                let turns = (at(i) + 0.5) / set.pitch(EXTENT);
+                let phase = (TAU * (turns - turns.round())) as f32;
+                Phase { phase, variance: 1e-4, level: 80.0, modulation: 60.0, saturated: false, state: State::Valid }
+            };
+            PhaseMap { set, window, pixels: (0..EXTENT).map(phase).collect() }
+        };
+        counts.iter().map(map).collect()
+    }
+
+    fn spoil(phase: &mut Phase, state: State) {
+        *phase = Phase { phase: f32::NAN, variance: f32::NAN, saturated: state == State::Saturated, state, ..*phase };
+    }
+
+    #[test]
+    fn ratios_of_eight_unwrap_exactly_in_any_order_of_the_sets() {
+        let at = |i: usize| i as f64 + 0.31;
+        let map = unwrap(&maps(&[64, 1, 8], at), Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
+        for (i, c) in map.pixels.iter().enumerate().take(EXTENT - 1) {
+            assert!((c.value - at(i)).abs() < 1e-5, "{i}: {c:?}"); // f32 phases of 20 px fringes
+            let law = 1e-4 * (20.0 / TAU).powi(2);
+            assert!((f64::from(c.variance) / law - 1.0).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn a_phase_noisy_about_the_first_column_stays_there() {
+        let mut maps = maps(&[1, 8], |i| i as f64 - 0.4);
+        maps[0].pixels[0].phase = -0.002; // just before the start: the cosine's last fringe
+        let c = unwrap(&maps, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there").pixels[0];
+        assert!((c.value + 0.4).abs() < 1e-3, "{c:?}");
+    }
+
+    #[test]
+    fn a_planted_jump_of_over_a_quarter_fringe_is_invalid_and_a_smaller_one_changes_nothing() {
+        let at = |i: usize| i as f64;
+        for (jump, valid) in [(0.20, true), (-0.20, true), (0.30, false), (-0.45, false)] {
+            let mut maps = maps(&[1, 8, 64], at);
+            maps[1].pixels[600].phase += (jump * TAU / 8.0) as f32; // in fringes of the finest set
+            let map = unwrap(&maps, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
+            let c = map.pixels[600];
+            assert_eq!(c.state == State::Valid, valid, "{jump}: {c:?}");
+            assert!(if valid { (c.value - 600.0).abs() < 1e-5 } else { c.value.is_nan() && c.unordered.is_none() });
+            assert!((map.pixels[601].value - 601.0).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn sets_too_noisy_to_tell_the_order_are_invalid() {
+        let mut maps = maps(&[1, 8], |i| i as f64);
+        maps[0].pixels[600].variance = 0.03; // 0.17 rad times 8: 3.4 sigma to a wrong order
+        maps[0].pixels[601].variance = 0.02;
+        let map = unwrap(&maps, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
+        assert_eq!(map.pixels[600].state, State::WrongOrder);
+        assert_eq!(map.pixels[601].state, State::Valid);
+    }
+
+    #[test]
+    fn of_equal_counts_the_less_noisy_phase_is_taken_and_an_invalid_one_never() {
+        let mut stack = maps(&[1, 8, 8], |i| i as f64);
+        stack[1].pixels[600] =
+            Phase { phase: stack[1].pixels[600].phase + 0.1, variance: 4e-4, ..stack[1].pixels[600] };
+        spoil(&mut stack[2].pixels[700], State::Saturated);
+        let map = unwrap(&stack, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
+        assert!((map.pixels[600].value - 600.0).abs() < 1e-4, "{:?}", map.pixels[600]);
+        assert!((map.pixels[700].value - 700.0).abs() < 1e-4, "{:?}", map.pixels[700]);
+    }
+
+    #[test]
+    fn without_count_one_an_axis_is_ambiguous_and_disturbs_no_other() {
+        let mut all = maps(&[1, 8], |i| i as f64);
+        let mut rows = maps(&[40], |i| i as f64);
+        rows[0].set.axis = Axis::Row;
+        all.append(&mut rows);
+        assert!(unwrap(&all, Axis::Column, EXTENT, &LIMITS).is_ok());
+        let error = unwrap(&all, Axis::Row, 800, &LIMITS).expect_err("40 fringes");
+        assert_eq!(
+            error.to_string(),
+            "absolute phase along Row is ambiguous: the coarsest set has 40 fringes, 1 is needed"
+        );
+        assert_eq!(unwrap(&all[..2], Axis::Row, 800, &LIMITS).map(|_| ()), Err(Error::NoSet { axis: Axis::Row }));
+    }
+
+    #[test]
+    fn a_prediction_orders_fringes_where_coarse_sets_are_saturated_and_nowhere_else() {
+        let mut maps = maps(&[1, 8, 64], |i| i as f64);
+        spoil(&mut maps[0].pixels[100], State::Saturated);
+        spoil(&mut maps[1].pixels[200], State::Saturated);
+        spoil(&mut maps[1].pixels[300], State::Weak);
+        maps[1].pixels[400].phase += 0.3;
+        spoil(&mut maps[2].pixels[500], State::Saturated);
+        spoil(&mut maps[1].pixels[600], State::Saturated);
+        let mut map = unwrap(&maps, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
+        let invalid = [100, 200, 300, 400, 500, 600];
+        assert!(invalid.iter().all(|&i| map.pixels[i].state != State::Valid && map.pixels[i].value.is_nan()));
+        // A surface 4 px off everywhere (a fringe is 20), 8 px at pixel 600; image pixels start at x = 3.
+        let became = map.predict(&LIMITS, |x, y| (y == 5).then_some(x as f64 - 3.0 + if x == 603 { 8.0 } else { 4.0 }));
+        assert_eq!(became, 2);
+        assert!((map.pixels[100].value - 100.0).abs() < 1e-5 && (map.pixels[200].value - 200.0).abs() < 1e-5);
+        assert!(invalid[2..].iter().all(|&i| map.pixels[i].state != State::Valid));
+    }
+}
