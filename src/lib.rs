@@ -6,6 +6,8 @@
 //!
 //! Lengths are millimetres, angles radians (degrees in files and reports), pixels have integer centres.
 
+pub mod calibrate;
+pub mod capture;
 pub mod document;
 pub mod fringe;
 pub mod geometry;
@@ -14,6 +16,8 @@ pub mod optics;
 #[cfg(test)]
 mod testing;
 
+pub use calibrate::Calibration;
+pub use capture::Capture;
 pub use geometry::{Point3, Pose, frame};
 pub use image::Image;
 pub use optics::{Lens, Pixel, Rig};
