@@ -8,6 +8,7 @@
 
 pub mod calibrate;
 pub mod capture;
+pub mod contour;
 pub mod document;
 pub mod fringe;
 pub mod geometry;
