@@ -8,6 +8,7 @@
 
 pub mod calibrate;
 pub mod capture;
+pub mod code;
 pub mod contour;
 pub mod document;
 pub mod fringe;
@@ -16,9 +17,12 @@ pub mod image;
 pub mod optics;
 #[cfg(test)]
 mod testing;
+pub mod vehicle;
 
 pub use calibrate::Calibration;
 pub use capture::Capture;
+pub use code::Code;
 pub use geometry::{Point3, Pose, frame};
 pub use image::Image;
 pub use optics::{Lens, Pixel, Rig};
+pub use vehicle::VehicleFile;

@@ -1,0 +1,8 @@
+//! Vehicle models. In: their file and templates. Out: the checked model and its fingerprint.
+//! Not here: how templates are made; measuring.
+
+mod model;
+mod template;
+
+pub use model::{Body, Class, Definition, Edge, Feature, Kind, Limits, Release, Target, VehicleFile, fingerprint};
+pub use template::{Anchor, ContourPoint, PanelMask, TaughtSurface, Template, TemplateError};
