@@ -8,12 +8,14 @@
 
 pub mod calibrate;
 pub mod capture;
+pub mod cli;
 pub mod code;
 pub mod contour;
 pub mod document;
 pub mod fringe;
 pub mod geometry;
 pub mod image;
+pub mod measure;
 pub mod optics;
 #[cfg(test)]
 mod testing;
@@ -24,5 +26,11 @@ pub use capture::Capture;
 pub use code::Code;
 pub use geometry::{Point3, Pose, frame};
 pub use image::Image;
+pub use measure::Measurement;
 pub use optics::{Lens, Pixel, Rig};
 pub use vehicle::VehicleFile;
+
+/// The README's example: it must compile and run.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,0 +1,72 @@
+//! The command line: one file per subcommand. In: arguments. Out: text on standard output, errors and progress
+//! on standard error, an exit status.
+
+mod measure;
+mod overlay;
+mod patterns;
+mod release;
+mod teach;
+
+use anyhow::Context;
+use std::io::Write;
+
+/// What the program was asked to do.
+#[derive(Debug, clap::Parser)]
+#[command(name = "datum", version, about = "Measures where a vehicle's own coordinate system lies")]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Measures stored captures
+    Measure(measure::Arguments),
+    /// Makes a vehicle model with templates from one good capture
+    Teach(teach::Arguments),
+    /// Releases a vehicle model for production
+    Release(release::Arguments),
+    /// Writes the fringe patterns as PNGs
+    Patterns(patterns::Arguments),
+}
+
+/// The exit status; an error of [`run`] is bad input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Status {
+    /// Done and ok.
+    Done = 0,
+    /// At least one capture is not ok.
+    Refused = 1,
+    /// Wrong usage or input.
+    BadInput = 2,
+    /// A device fault, or devices held by the running service.
+    Device = 3,
+}
+
+/// Does what was asked.
+pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
+    match arguments.command {
+        Command::Measure(a) => measure::run(&a),
+        Command::Teach(a) => teach::run(&a),
+        Command::Release(a) => release::run(&a),
+        Command::Patterns(a) => patterns::run(&a),
+    }
+}
+
+/// Prints a result. A reader that has gone (`| head`) is no error.
+fn print(text: &str) -> anyhow::Result<()> {
+    let mut out = std::io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(e).context("standard output"),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_command_line_has_no_clashes() {
+        <super::Arguments as clap::CommandFactory>::command().debug_assert();
+    }
+}

@@ -1,0 +1,344 @@
+//! One vehicle: the red image first, then each fringe image as it comes, then the result.
+//! In:  images and what the capture says of them. Out: a `Measurement`. No I/O, no clock: an observer is told
+//! where stages end. No state from one vehicle to the next.
+
+use super::body::{self, Patch, Shape, Site};
+use super::depth::{BodyDepth, Fringes, TYPICAL_GAIN};
+use super::edges;
+use super::judge::{self, Evidence, Judged, Refused};
+use super::light::{Light, saturated_share};
+use super::locate::{Located, locate};
+use super::regions::{self, Region};
+use super::{Drawing, Measurement, Measurer};
+use crate::capture::Capture;
+use crate::code::Code;
+use crate::fringe::{self, NoiseLaw, Rays, State};
+use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
+use crate::image::{Image, Window};
+use crate::optics::Pixel;
+use nalgebra::{Matrix3, Vector3};
+
+type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
+
+/// The stages of a measurement, in order; the observer is told when each has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Images read and summed up.
+    Read,
+    /// Regions found in the red image.
+    Detect,
+    /// Fringes decoded to depth.
+    Decode,
+    /// The coarse surface of the body.
+    Surface,
+    /// Contours and patches of every pass.
+    Contour,
+    /// Pose, checks, verdict.
+    Pose,
+}
+
+/// Regions are decoded this much wider than the widest patch, mm: for the first pose's error.
+const REGION_MARGIN_MM: f64 = 10.0;
+/// Passes over all features; the pose is still by then.
+const MAX_PASSES: usize = 6;
+/// Rotation (rad) and translation (mm) below which a pass has changed nothing.
+const STILL: (f64, f64) = (1e-6, 1e-4);
+/// How far from its expected place a contour is looked for: at first, and once the pose is good, mm.
+const CAPTURE_MM: (f64, f64) = (5.0, 1.5);
+/// How far inside the panel's border depth is believed: while the pose is coarse, and after, mm.
+pub(super) const EROSION_MM: (f64, f64) = (6.0, 1.5);
+/// A repeated image may differ from the first by this many times its noise power before something has moved.
+const MOVED: f64 = 1.6;
+/// Least light on the body, as a share of white: ten of 255 levels, below which a gap's edge is a few steps of rounding.
+const MIN_LIGHT: f64 = 0.04;
+/// Blur (px, 1 sigma) beyond which a gap of a few pixels is no longer a line with two edges.
+const MAX_BLUR_PX: f64 = 3.0;
+/// Regions met with the coarse surface that fit the features worse (chi²) hold one that is none of them.
+const CONTRADICTING: f64 = 30.0;
+/// Share of a region's pixels that may be saturated in the red image.
+const MAX_SATURATED: f64 = 0.25;
+
+/// A measurement in progress.
+pub struct Cycle<'a> {
+    pub(super) measurer: &'a Measurer,
+    pub(super) capture: &'a Capture,
+    pub(super) red: Image<f32>,
+    pub(super) red_saturated: Vec<f64>,
+    pub(super) regions: Vec<Result<Region, Code>>,
+    pub(super) first_pose: Option<CameraFromVehicle>,
+    pub(super) light: Light,
+    pub(super) fringes: Fringes,
+    pub(super) moved: bool,
+}
+
+impl<'a> Cycle<'a> {
+    /// Finds the regions in `red`, before any fringe image is there.
+    pub(super) fn new(measurer: &'a Measurer, capture: &'a Capture, red: &Image<u16>) -> Self {
+        let camera = &measurer.calibration.rig.camera;
+        let as_f32 =
+            Image { width: red.width, height: red.height, pixels: red.pixels.iter().map(|&v| f32::from(v)).collect() };
+        let mut regions = regions::find(&as_f32, camera, &measurer.templates);
+        let first_pose = regions::first_pose(camera, &measurer.templates, &mut regions);
+        let windows = first_pose.map(|pose| region_windows(measurer, &pose)).unwrap_or_default();
+        let white = capture.camera.white_level();
+        let red_saturated = measurer
+            .templates
+            .iter()
+            .map(|t| first_pose.map_or(0.0, |pose| saturated_share(red, white, camera, &t.local(&pose).origin.xyz)))
+            .collect();
+        let light = Light::new(&as_f32, capture.camera.black_level);
+        let fringes = Fringes::new(capture, bounding(&windows).unwrap_or(Window::whole(1, 1)));
+        Self { measurer, capture, red: as_f32, red_saturated, regions, first_pose, light, fringes, moved: false }
+    }
+
+    /// Takes image `step` of fringe set `set`, in any order.
+    pub fn add_fringe(&mut self, set: usize, step: u32, image: &Image<u16>) -> Result<(), fringe::Error> {
+        self.fringes.add(set, step, image)
+    }
+
+    /// Takes `repeat`, the first fringe image once more at the end: where it differs from `first` by more than noise
+    /// the vehicle has moved, and is not measured.
+    pub fn add_repeat(&mut self, first: &Image<u16>, repeat: &Image<u16>) {
+        self.moved = self.differs(first, repeat);
+    }
+
+    fn differs(&self, first: &Image<u16>, repeat: &Image<u16>) -> bool {
+        let gain = self.capture.fringes.first().and_then(|f| f.gain_dn_per_e).unwrap_or(TYPICAL_GAIN);
+        let camera = &self.capture.camera;
+        let noise = NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level);
+        let (w, white) = (self.fringes.window, self.capture.camera.white_level());
+        let (mut sum, mut n) = (0.0, 0.0);
+        for y in w.y..w.y + w.height {
+            for (a, b) in first.row(y)[w.x..w.x + w.width].iter().zip(&repeat.row(y)[w.x..w.x + w.width]) {
+                let (a, b) = (f64::from(*a), f64::from(*b));
+                if a < white && b < white {
+                    sum += (a - b).powi(2) / (2.0 * noise.variance(0.5 * (a + b)));
+                    n += 1.0;
+                }
+            }
+        }
+        n > 0.0 && sum / n > MOVED
+    }
+
+    /// The measurement. `ended` is told when each stage has ended.
+    pub fn finish(self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
+        let mut run = Run { cycle: &self, located: Vec::new(), pose: None, coverage: None };
+        let outcome = run.pose(ended);
+        let mut measurement = run.report(outcome);
+        ended(Stage::Pose);
+        measurement.station = self.measurer.station();
+        (measurement, run.drawing())
+    }
+}
+
+/// What a finished pass knows of each feature.
+pub(super) struct Run<'c, 'a> {
+    pub(super) cycle: &'c Cycle<'a>,
+    pub(super) located: Vec<Result<Located, Code>>,
+    pub(super) pose: Option<CameraFromVehicle>,
+    pub(super) coverage: Option<f64>,
+}
+
+impl Run<'_, '_> {
+    pub(super) fn refuse(code: Code, detail: impl Into<String>) -> Refused {
+        Refused { code, detail: detail.into(), distance_deviation_mm: None }
+    }
+
+    /// Regions, depth, features, pose: each pass finds the features with the pose of the one before.
+    fn pose(&mut self, ended: &mut dyn FnMut(Stage)) -> Result<Judged, Refused> {
+        let c = self.cycle;
+        if c.moved {
+            let detail = "The repeated fringe image differs from the first by more than noise.";
+            return Err(Self::refuse(Code::Moved, detail));
+        }
+        let bright = c.light.body / (c.capture.camera.white_level() - c.capture.camera.black_level);
+        if bright < MIN_LIGHT {
+            let detail = format!(
+                "The red image's brighter quarter lies {:.1} % of white above black, allowed at least {:.0} %.",
+                100.0 * bright,
+                100.0 * MIN_LIGHT
+            );
+            return Err(Self::refuse(Code::TooDark, detail));
+        }
+        let (rig, templates) = (&c.measurer.calibration.rig, &c.measurer.templates);
+        self.located = c.regions.iter().map(|r| Err(r.err().unwrap_or(Code::TooFewFeatures))).collect();
+        let found = c.regions.iter().filter(|r| r.is_ok()).count();
+        let Some(first) = c.first_pose.filter(|_| found >= 2) else { return Err(self.too_few()) };
+        let (mut coordinates, noise) =
+            c.fringes.coordinates(c.capture).map_err(|e| Self::refuse(Code::PhaseAmbiguity, e.to_string()))?;
+        let rays = Rays::new(&rig.camera, c.fringes.window);
+        ended(Stage::Decode);
+
+        let far = sites(templates, &c.measurer.far_masks, &first);
+        let body = BodyDepth::new(rig, &rays, &mut coordinates, &far);
+        let Some(body) = body else {
+            let states: Vec<State> = coordinates.pixels.iter().map(|c| c.state).collect();
+            let usable = states.iter().filter(|s| **s == State::Valid).count();
+            let code = body::why_no_depth(&states, usable);
+            for located in self.located.iter_mut().filter(|l| matches!(l, Err(Code::TooFewFeatures))) {
+                *located = Err(code);
+            }
+            return Err(Self::refuse(code, "Too little of the body has depth to find its surface."));
+        };
+        let across = c.fringes.across(c.capture, coordinates.axis, &noise);
+        let refused = self
+            .contradictory(&coordinates, &far)
+            .or_else(|| across.and_then(|across| self.epipolar(&across, &body.map, &far)));
+        if let Some(refused) = refused {
+            self.located.clear(); // no feature is to blame
+            return Err(refused);
+        }
+        let mut pose = self.second_pose(&body.coarse).unwrap_or(first);
+        ended(Stage::Surface);
+
+        let red_noise = c.capture.images.red_gain_dn_per_e.map_or_else(
+            || noise.last().copied().unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, 0.0, c.capture.camera.black_level)),
+            |gain| {
+                let camera = &c.capture.camera;
+                NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level)
+            },
+        );
+        let (plain, level) = edges::without_glints(&c.red);
+        let windows = contour_windows(c.measurer, &pose);
+        let rays = edges::edge_rays(&plain, &level, &windows, &red_noise, &rig.camera);
+        for pass in 0..MAX_PASSES {
+            let capture = if pass == 0 { CAPTURE_MM.0 } else { CAPTURE_MM.1 };
+            let masks = if pass == 0 { &c.measurer.far_masks } else { &c.measurer.near_masks };
+            let sites = sites(templates, masks, &pose);
+            let mut coverage = 1f64;
+            self.located = (0..templates.len())
+                .map(|k| {
+                    if c.red_saturated[k] > MAX_SATURATED {
+                        return Err(Code::Saturated);
+                    }
+                    // a region that was not found may still be where the others' pose expects it
+                    let patch = self.patch(&body, &sites[k], k)?;
+                    coverage = coverage.min(patch.coverage);
+                    locate(&templates[k], &c.measurer.surfaces[k], &patch, &rays, capture)
+                        .map_err(|code| c.regions[k].err().unwrap_or(code))
+                })
+                .collect();
+            self.coverage = Some(coverage);
+            let evidence = self.evidence();
+            if evidence.len() < 3 {
+                ended(Stage::Contour);
+                return Err(self.too_few());
+            }
+            let next = judge::fit(&evidence, &pose).map_err(|e| Self::refuse(Code::TooFewFeatures, e.to_string()))?;
+            let change = pose.inverse() * next.a_from_b;
+            let shift = (change * next.at - next.at).norm();
+            pose = next.a_from_b;
+            if pass > 0 && change.r.scaled_axis().norm() < STILL.0 && shift < STILL.1 {
+                break;
+            }
+        }
+        self.pose = Some(pose);
+        ended(Stage::Contour);
+        judge::judge(&self.evidence(), &pose, &c.measurer.vehicle)
+    }
+
+    /// The patch about feature `k`, best at its point and along its contour.
+    fn patch(&self, body: &BodyDepth<'_>, site: &Site<'_>, k: usize) -> Result<Patch, Code> {
+        let c = self.cycle;
+        let shape = Shape::Taught(&c.measurer.surfaces[k], c.measurer.templates[k].surface.radius_mm);
+        body::patch(&body.map, &c.measurer.calibration.rig.camera, site, &body.coarse, &shape)
+    }
+
+    fn too_few(&self) -> Refused {
+        // a region that was found, but not measured because the others were not, explains nothing
+        let explains = |l: &Result<Located, Code>| l.as_ref().err().copied().filter(|c| *c != Code::TooFewFeatures);
+        let why = |(t, l): (&crate::vehicle::Template, &Result<Located, Code>)| {
+            explains(l).map(|code| format!("{}: {} {}", t.feature, code.number(), code.entry().name))
+        };
+        let reasons: Vec<String> = self.cycle.measurer.templates.iter().zip(&self.located).filter_map(why).collect();
+        // with as many features as are needed each one's own code says more than "too few"
+        let codes: Vec<Code> = self.located.iter().filter_map(explains).collect();
+        let code = match codes.as_slice() {
+            [one] => *one,
+            [first, rest @ ..] if rest.iter().all(|c| c == first) => *first,
+            _ => Code::TooFewFeatures,
+        };
+        let contours = codes.iter().all(|c| (401..=406).contains(&c.number()));
+        if let Some(blur) = self.cycle.light.blur_px.filter(|blur| contours && *blur > MAX_BLUR_PX) {
+            let detail = format!(
+                "Its sharpest edges are blurred by {blur:.1} px, allowed {MAX_BLUR_PX} px. {}.",
+                reasons.join(", ")
+            );
+            return Self::refuse(Code::OutOfFocus, detail);
+        }
+        let three = if code == Code::TooFewFeatures { "" } else { "Fewer than three features were measured: " };
+        Self::refuse(code, format!("{three}{}.", reasons.join(", ")))
+    }
+
+    fn evidence(&self) -> Vec<Evidence<'_>> {
+        let m = self.cycle.measurer;
+        m.vehicle
+            .features
+            .iter()
+            .zip(&m.templates)
+            .zip(&self.located)
+            .filter_map(|((feature, template), l)| Some(Evidence { feature, template, located: l.as_ref().ok()? }))
+            .collect()
+    }
+
+    /// The pose from the regions' rays and the coarse surface.
+    fn second_pose(&self, coarse: &Surface<frame::Camera>) -> Option<CameraFromVehicle> {
+        let c = self.cycle;
+        let camera = &c.measurer.calibration.rig.camera;
+        let pose = c.first_pose?;
+        let mut pairs = Vec::new();
+        for (template, region) in c.measurer.templates.iter().zip(&c.regions) {
+            let Ok(region) = region else { continue };
+            let axes = template.local(&pose).axes;
+            let measured = coarse.local.point(&coarse.meet(&camera.ray(&region.pixel)?, 0.0)?);
+            let along = if judge::slides(template) { 15.0f64 } else { 1.5 };
+            let sigma = Matrix3::from_diagonal(&Vector3::new(along.powi(2), 2.0, 0.1));
+            let nominal = Point3::new(Vector3::from(template.point_mm));
+            pairs.push(Pair { measured, nominal, covariance: axes * sigma * axes.transpose() });
+        }
+        let all = register(&pairs).ok()?;
+        if all.chi2 <= CONTRADICTING {
+            return Some(all.a_from_b);
+        }
+        // one region may be something beside its feature: the three that agree tell
+        let without = |k: usize| register(&[&pairs[..k], &pairs[k + 1..]].concat()).ok();
+        let best = (0..pairs.len()).filter_map(without).min_by(|a, b| a.chi2.total_cmp(&b.chi2));
+        Some(best.filter(|b| b.chi2 <= CONTRADICTING).unwrap_or(all).a_from_b)
+    }
+}
+
+pub(super) fn sites<'m>(
+    templates: &[crate::vehicle::Template],
+    masks: &'m [crate::vehicle::PanelMask],
+    pose: &CameraFromVehicle,
+) -> Vec<Site<'m>> {
+    templates.iter().zip(masks).map(|(t, panel)| Site::new(t.local(pose), panel)).collect()
+}
+
+pub(super) fn about(measurer: &Measurer, centre: &Vector3<f64>, half_mm: f64) -> Option<Window> {
+    let camera = &measurer.calibration.rig.camera;
+    let p: Pixel = camera.project(centre)?;
+    let half = half_mm * camera.fx / centre.z;
+    Window::clipped(p.x - half, p.y - half, p.x + half, p.y + half, camera.width, camera.height)
+}
+
+/// The regions to decode.
+fn region_windows(m: &Measurer, pose: &CameraFromVehicle) -> Vec<Window> {
+    let reach = |t: &crate::vehicle::Template| t.panel.hole_mm() + body::REACH_MM + REGION_MARGIN_MM;
+    m.templates.iter().filter_map(|t| about(m, &t.local(pose).origin.xyz, reach(t))).collect()
+}
+
+/// The regions to find edges in.
+pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle) -> Vec<Window> {
+    let reach = |t: &crate::vehicle::Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
+    m.templates.iter().filter_map(|t| about(m, &t.local(pose).origin.xyz, reach(t) + 2.0 * CAPTURE_MM.0)).collect()
+}
+
+fn bounding(windows: &[Window]) -> Option<Window> {
+    windows.iter().copied().reduce(|a, b| {
+        let (x, y) = (a.x.min(b.x), a.y.min(b.y));
+        let right = (a.x + a.width).max(b.x + b.width);
+        let bottom = (a.y + a.height).max(b.y + b.height);
+        Window { x, y, width: right - x, height: bottom - y }
+    })
+}

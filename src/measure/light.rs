@@ -1,0 +1,55 @@
+//! How the red image is lit. In: the red image. Out: the body's level, the blur, where it is saturated.
+//! Not here: what it shows.
+
+use crate::image::{Image, Window};
+use nalgebra::Vector3;
+
+/// How the red image is lit, whatever it shows.
+pub(super) struct Light {
+    /// Upper quartile of the grey levels above black: the body's.
+    pub(super) body: f64,
+    /// Blur of its sharpest edges, px, 1 sigma, where it shows anything dark beside the body.
+    pub(super) blur_px: Option<f64>,
+}
+
+impl Light {
+    pub(super) fn new(red: &Image<f32>, black: f64) -> Self {
+        let quantile = |values: &mut [f32], q: f64| {
+            let k = ((values.len() - 1) as f64 * q) as usize;
+            f64::from(*values.select_nth_unstable_by(k, f32::total_cmp).1)
+        };
+        let mut levels: Vec<f32> = red.pixels.iter().step_by(31).copied().collect();
+        let (dark, bright) = (quantile(&mut levels, 0.05), quantile(&mut levels, 0.75));
+        let body = bright - black;
+        let mut blur_px = None;
+        if dark - black < 0.5 * body {
+            let at = |x: usize, y: usize| red.at(x, y).min(bright as f32);
+            let mut slopes: Vec<f32> = (1..red.height - 1)
+                .step_by(2)
+                .flat_map(|y| (1..red.width - 1).map(move |x| (x, y)))
+                .map(|(x, y)| 0.5 * (at(x + 1, y) - at(x - 1, y)).hypot(at(x, y + 1) - at(x, y - 1)))
+                .collect();
+            // a step of this height blurred by sigma rises by height / (sigma √2π) at its steepest
+            let steepest = quantile(&mut slopes, 0.999);
+            blur_px = Some(body / (steepest.max(1e-6) * std::f64::consts::TAU.sqrt()));
+        }
+        Self { body, blur_px }
+    }
+}
+
+/// Share of saturated pixels within 20 mm of a point, in the red image.
+pub(super) fn saturated_share(
+    red: &Image<u16>,
+    white: f64,
+    camera: &crate::optics::Lens,
+    centre: &Vector3<f64>,
+) -> f64 {
+    let Some(p) = camera.project(centre) else { return 0.0 };
+    let half = 20.0 * camera.fx / centre.z;
+    let Some(w) = Window::clipped(p.x - half, p.y - half, p.x + half, p.y + half, red.width, red.height) else {
+        return 0.0;
+    };
+    let saturated = (w.y..w.y + w.height)
+        .map(|y| red.row(y)[w.x..w.x + w.width].iter().filter(|v| f64::from(**v) >= white).count());
+    saturated.sum::<usize>() as f64 / (w.width * w.height) as f64
+}

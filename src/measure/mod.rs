@@ -1,0 +1,120 @@
+//! From images to the vehicle's pose with its uncertainty, and from a clicked capture to a vehicle model.
+//! In:  a capture, a calibration, a vehicle model. Out: a [`Measurement`]: a pose with covariance, or a code.
+//! Not here: devices, the PLC, where images come from. Everything is pure; files are read by [`Measurer::new`] and
+//! [`measure`] only.
+//!
+//! [`Cycle`] is one vehicle: red image → regions; fringe images → depth; `finish` → patches, contours, pose, verdict.
+
+mod body;
+mod consistency;
+mod corner;
+mod cycle;
+mod depth;
+mod edges;
+mod judge;
+mod light;
+mod locate;
+mod panel;
+mod regions;
+mod report;
+mod result;
+mod teach;
+
+pub use cycle::{Cycle, Stage};
+pub use result::{
+    Euler, FeatureResult, Measurement, Method, PoseMatrix, Station, TargetUncertainty, Timing, Uncertainty, Verdict,
+    Xyz, json, table,
+};
+pub use teach::{Taught, TeachError, teach};
+
+use crate::calibrate::Calibration;
+use crate::capture::{self, Capture};
+use crate::geometry::{Polynomial, Pose, frame};
+use crate::image::Window;
+use crate::optics::Pixel;
+use crate::vehicle::{PanelMask, Template, VehicleFile};
+
+/// The design's working distance, mm: for what must be sized in pixels before depth is known.
+pub(crate) const TYPICAL_DISTANCE_MM: f64 = 750.0;
+
+/// What a measurement saw, to be drawn onto the red image.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Drawing {
+    /// Where contours were looked for.
+    pub regions: Vec<Window>,
+    /// Points of the contours found, px, and their distance from the taught contour, mm.
+    pub contours: Vec<(Pixel, f64)>,
+}
+
+/// Calibration and vehicle model, ready to measure: what belongs to start-up and not to a vehicle.
+pub struct Measurer {
+    calibration: Calibration,
+    vehicle: VehicleFile,
+    templates: Vec<Template>,
+    /// The panels' shapes about the features.
+    surfaces: Vec<Polynomial>,
+    /// The panels' masks less a margin for a coarse pose, and for a good one.
+    far_masks: Vec<PanelMask>,
+    near_masks: Vec<PanelMask>,
+}
+
+impl Measurer {
+    /// Reads the model's templates. Errors name the file and what is wrong with it.
+    pub fn new(calibration: Calibration, vehicle: VehicleFile) -> Result<Self, crate::document::Error> {
+        let templates = vehicle.templates()?;
+        Ok(Self::with_templates(calibration, vehicle, templates))
+    }
+
+    /// With templates already at hand, one per feature in its order.
+    pub(crate) fn with_templates(calibration: Calibration, vehicle: VehicleFile, templates: Vec<Template>) -> Self {
+        let eroded = |mm: f64| templates.iter().map(|t| t.panel.eroded(mm)).collect();
+        let (far_masks, near_masks) = (eroded(cycle::EROSION_MM.0), eroded(cycle::EROSION_MM.1));
+        let surfaces =
+            templates.iter().map(|t| t.surface.polynomial().expect("checked when it was read or made")).collect();
+        Self { calibration, vehicle, templates, surfaces, far_masks, near_masks }
+    }
+
+    /// Begins a vehicle with its red image, whose size is the calibration's. `capture` says what the images are.
+    pub fn begin<'a>(&'a self, capture: &'a Capture, red: &crate::Image<u16>) -> Cycle<'a> {
+        Cycle::new(self, capture, red)
+    }
+
+    fn station(&self) -> Station {
+        if self.calibration.station_from_camera.is_some() { Station::Surveyed } else { Station::Taught }
+    }
+
+    fn station_from_camera(&self) -> Pose<frame::Station, frame::Camera> {
+        self.calibration.station_from_camera.unwrap_or_else(|| {
+            let taught = self.templates[0].taught_pose().inverse();
+            Pose::new(taught.r, taught.t)
+        })
+    }
+}
+
+/// Measures a stored capture: the fold of [`Cycle`] over its images. `ended` is told when each stage has ended.
+/// Errors where an image cannot be read; what is merely not measurable is a `Measurement` with a code.
+pub fn measure(
+    measurer: &Measurer,
+    capture: &Capture,
+    ended: &mut dyn FnMut(Stage),
+) -> Result<(Measurement, Drawing), capture::Error> {
+    let red = capture.load(capture.red()?)?;
+    ended(Stage::Read);
+    let mut cycle = measurer.begin(capture, &red);
+    ended(Stage::Detect);
+    let mut first = None;
+    for (k, set) in capture.fringes.iter().enumerate() {
+        for (step, path) in (0u32..).zip(&set.images) {
+            let image = capture.load(path)?;
+            cycle.add_fringe(k, step, &image).expect("sizes, sets and steps were checked when the capture was read");
+            if capture.images.repeat.is_some() && first.is_none() {
+                first = Some(image);
+            }
+        }
+    }
+    ended(Stage::Read);
+    if let (Some(repeat), Some(first)) = (&capture.images.repeat, &first) {
+        cycle.add_repeat(first, &capture.load(repeat)?);
+    }
+    Ok(cycle.finish(ended))
+}
