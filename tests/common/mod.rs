@@ -1,0 +1,167 @@
+//! What tests of whole measurements share: teaching, measuring, and the errors against a capture's truth.
+
+#![allow(dead_code, reason = "each test file uses a part")]
+
+use datum::measure::{Drawing, Measurement, Measurer, Taught, measure, teach};
+use datum::{Calibration, Capture, Point3, Pose, VehicleFile, frame};
+use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+
+pub(crate) type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
+
+/// A feature farther than this from a point of the truth is not that point, mm: files give five decimals.
+const SAME_POINT_MM: f64 = 1e-3;
+
+/// A path below tests/data.
+pub(crate) fn here(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(path)
+}
+
+/// The folder `name` of the data that DATUM_DATA names; none, said on standard error: the test is skipped.
+pub(crate) fn data(name: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("DATUM_DATA").map(|d| Path::new(&d).join(name));
+    if folder.is_none() {
+        eprintln!("skipped: DATUM_DATA not set");
+    }
+    folder
+}
+
+/// A set of captures that share a calibration.
+pub(crate) struct Set {
+    pub(crate) folder: PathBuf,
+    pub(crate) calibration: Calibration,
+}
+
+impl Set {
+    pub(crate) fn open(folder: PathBuf) -> Self {
+        let calibration = Calibration::read(&folder.join("calibration.toml")).expect("a calibration");
+        Self { folder, calibration }
+    }
+
+    pub(crate) fn capture(&self, name: &str) -> Capture {
+        Capture::open(&self.folder.join(name)).expect("a capture")
+    }
+
+    pub(crate) fn teach(&self, name: &str, features: &VehicleFile) -> Taught {
+        teach(&self.capture(name), &self.calibration, features, "taught").expect("teaches")
+    }
+
+    /// Ready to measure. The model and its templates go through their files, as they do at a station; `folder`, a
+    /// name no other test uses, is where.
+    pub(crate) fn measurer(&self, taught: &Taught, folder: &str) -> Measurer {
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(folder);
+        std::fs::create_dir_all(&folder).expect("the target folder is writable");
+        for (feature, template) in taught.model.features.iter().zip(&taught.templates) {
+            let name = feature.template.as_ref().expect("taught");
+            std::fs::write(folder.join(name), template.to_bytes()).expect("writable");
+        }
+        let file = folder.join("taught.toml");
+        taught.model.write(&file).expect("writable");
+        Measurer::new(self.calibration.clone(), VehicleFile::read(&file).expect("what was written")).expect("templates")
+    }
+
+    pub(crate) fn measure(&self, measurer: &Measurer, name: &str) -> (Measurement, Drawing) {
+        measure(measurer, &self.capture(name), &mut |_| {}).expect("images can be read")
+    }
+
+    pub(crate) fn truth(&self, name: &str) -> Truth {
+        Truth::read(&self.folder.join(name).join("truth.json"))
+    }
+}
+
+/// Where the vehicle and its points really are.
+pub(crate) struct Truth {
+    pub(crate) camera_from_vehicle: CameraFromVehicle,
+    /// In the vehicle and in the camera frame, mm.
+    points: Vec<(Vector3<f64>, Vector3<f64>)>,
+}
+
+impl Truth {
+    fn read(file: &Path) -> Self {
+        let text = std::fs::read_to_string(file).expect("truth.json is there");
+        let value: Value = serde_json::from_str(&text).expect("JSON");
+        let rows = &value["camera_from_object"];
+        let r = std::array::from_fn(|i| std::array::from_fn(|j| number(&rows[i][j])));
+        let r = datum::geometry::rotation_from_rows(r).expect("a rotation");
+        let t = Vector3::from_fn(|i, _| number(&rows[i][3]));
+        let point = |f: &Value| (vector(&f["object_mm"]), vector(&f["camera_mm"]));
+        let points = value["features"].as_object().expect("features").values().map(point).collect();
+        Self { camera_from_vehicle: Pose::new(r, t), points }
+    }
+
+    /// The motion inverse(true)·measured in vehicle axes, by which a measured pose is off. None: no pose.
+    pub(crate) fn motion(&self, m: &Measurement) -> Option<Pose<frame::Vehicle, frame::Vehicle>> {
+        Some(self.camera_from_vehicle.inverse() * pose(m)?)
+    }
+
+    /// Error of a measured pose: x, y, z (mm) by which that motion moves the point that the covariance is of, and its
+    /// rotation vector (rad). None: no pose.
+    pub(crate) fn error(&self, m: &Measurement) -> Option<Vector6<f64>> {
+        let motion = self.motion(m)?;
+        let at = Point3::new(Vector3::from(m.covariance_at_mm?));
+        let (t, r) = ((motion * at) - at, motion.r.scaled_axis());
+        Some(Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z))
+    }
+
+    /// Errors of the features that were measured, mm, vehicle axes: their names and x, y, z.
+    pub(crate) fn feature_errors(&self, m: &Measurement, model: &VehicleFile) -> Vec<(String, Vector3<f64>)> {
+        let error = |name: &str, measured: [f64; 3]| {
+            let nominal =
+                model.features.iter().find(|f| f.name == name).expect("a feature of the model").position().xyz;
+            let same = |(object, _): &&(Vector3<f64>, Vector3<f64>)| (object - nominal).norm() < SAME_POINT_MM;
+            let (_, true_mm) = self.points.iter().find(same).expect("the truth knows every feature");
+            self.camera_from_vehicle.r.inverse() * (Vector3::from(measured) - true_mm)
+        };
+        m.features.iter().filter_map(|f| Some((f.name.clone(), error(&f.name, f.camera_mm?)))).collect()
+    }
+}
+
+/// The measured pose.
+pub(crate) fn pose(m: &Measurement) -> Option<CameraFromVehicle> {
+    let p = m.camera_from_vehicle?;
+    let r = nalgebra::Matrix3::from_fn(|i, j| p.rotation[i][j]);
+    Some(Pose::new(Rotation3::from_matrix_unchecked(r), p.translation_mm.into()))
+}
+
+/// Error over stated sigma, axis by axis.
+pub(crate) fn over_sigma(error: &Vector6<f64>, m: &Measurement) -> Vector6<f64> {
+    let covariance = m.covariance.expect("a pose has one");
+    let covariance = Matrix6::from_fn(|i, j| covariance[i][j]);
+    error.component_div(&covariance.diagonal().map(f64::sqrt))
+}
+
+pub(crate) fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
+    let (sum, n) = values.into_iter().fold((0.0, 0.0), |(sum, n), v| (sum + v * v, n + 1.0));
+    f64::sqrt(sum / n)
+}
+
+fn number(v: &Value) -> f64 {
+    v.as_f64().expect("a number")
+}
+
+fn vector(v: &Value) -> Vector3<f64> {
+    Vector3::from_fn(|i, _| number(&v[i]))
+}
+
+/// Seeded noise, the same on every machine: xorshift64* (Vigna 2016) with Box–Muller.
+pub(crate) struct Noise(u64);
+
+impl Noise {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self((seed + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15))
+    }
+
+    /// Uniform in (0, 1).
+    fn uniform(&mut self) -> f64 {
+        self.0 ^= self.0 >> 12;
+        self.0 ^= self.0 << 25;
+        self.0 ^= self.0 >> 27;
+        ((self.0.wrapping_mul(0x2545_F491_4F6C_DD1D) >> 11) as f64 + 0.5) / (1u64 << 53) as f64
+    }
+
+    /// Gaussian, mean 0, standard deviation 1.
+    pub(crate) fn gauss(&mut self) -> f64 {
+        (-2.0 * self.uniform().ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
