@@ -40,7 +40,6 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     anyhow::ensure!(none, "--detector {}: not available yet, allowed: none", a.detector.display());
     let calibration = Calibration::read(&a.calibration)?;
     let vehicle = VehicleFile::read(&a.vehicle)?;
-    vehicle.templates()?; // what is wrong with the model is said once, not for every capture
     let mut ready = None;
     let mut results = Vec::new();
     for (n, folder) in a.captures.iter().enumerate() {

@@ -3,7 +3,7 @@
 //! where stages end. No state from one vehicle to the next.
 
 use super::body::{self, Patch, Shape, Site};
-use super::depth::{BodyDepth, Fringes, TYPICAL_GAIN};
+use super::depth::{BodyDepth, Fringes, TYPICAL_GAIN, red_noise};
 use super::edges;
 use super::judge::{self, Evidence, Judged, Refused};
 use super::light::{Light, saturated_share};
@@ -191,13 +191,7 @@ impl Run<'_, '_> {
         let mut pose = self.second_pose(&body.coarse).unwrap_or(first);
         ended(Stage::Surface);
 
-        let red_noise = c.capture.images.red_gain_dn_per_e.map_or_else(
-            || noise.last().copied().unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, 0.0, c.capture.camera.black_level)),
-            |gain| {
-                let camera = &c.capture.camera;
-                NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level)
-            },
-        );
+        let red_noise = red_noise(c.capture, &noise);
         let (plain, level) = edges::without_glints(&c.red);
         let windows = contour_windows(c.measurer, &pose);
         let rays = edges::edge_rays(&plain, &level, &windows, &red_noise, &rig.camera);

@@ -85,6 +85,13 @@ const NOISE_SAMPLES: usize = 50_000;
 /// Grey levels per electron of an 8-bit image of a sensor with 8000 electrons full well: where nothing is known.
 pub(super) const TYPICAL_GAIN: f64 = 0.032;
 
+/// The noise law of the red image: stated, or else that of the finest fringes.
+pub(super) fn red_noise(capture: &Capture, fringes: &[NoiseLaw]) -> NoiseLaw {
+    let (black, read) = (capture.camera.black_level, capture.camera.read_noise_e.unwrap_or(0.0));
+    let stated = capture.images.red_gain_dn_per_e.map(|gain| NoiseLaw::from_sensor(gain, read, black));
+    stated.or_else(|| fringes.last().copied()).unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, read, black))
+}
+
 /// Depth of a window: decoded, triangulated, and once a coarse surface is known, with the fringes ordered by it
 /// where the coarse sets were saturated.
 pub(super) struct BodyDepth<'a> {

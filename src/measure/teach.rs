@@ -4,7 +4,7 @@
 
 use super::body::{self, Patch, Shape, Site};
 use super::cycle::EROSION_MM;
-use super::depth::{BodyDepth, Fringes};
+use super::depth::{BodyDepth, Fringes, red_noise};
 use super::edges::{self, EdgeRay};
 use super::locate::{ARCH_WINDOW_MM, PanelEdge, on_panel};
 use super::panel::panel_mask;
@@ -15,7 +15,7 @@ use crate::capture::{self, Capture};
 use crate::code::Code;
 use crate::contour::{Chain, EllipseLimits, arch_top, fit_ellipse, join, link};
 use crate::document::Check;
-use crate::fringe::{self, NoiseLaw, Rays};
+use crate::fringe::{self, Rays};
 use crate::geometry::robust::median;
 use crate::geometry::{Local, NoPose, Pair, Point3, Pose, Surface, frame, register};
 use crate::image::{Image, Window};
@@ -33,6 +33,8 @@ const MASK_MM: f64 = 200.0;
 const CORNER_MM: f64 = 40.0;
 /// Which side an edge belongs to is looked up this far from it, mm.
 const BRIGHT_SIDE_MM: f64 = 1.4;
+/// Least 4πA/P² of a flap's contour: a square with rounded corners has 0.8 and more, a shut-line that passes by less.
+const RING_ROUNDNESS: f64 = 0.5;
 /// Flaps are looked for within this radius of the click, mm.
 const FLAP_MM: f64 = 140.0;
 /// A visible edge lies this far down a rolled hem where the model does not say, mm.
@@ -170,10 +172,7 @@ pub fn teach(
     check_distances(features, &points, far)?;
     check_side(features, &placed, &pose)?;
 
-    let red_noise = capture.images.red_gain_dn_per_e.map_or_else(
-        || noise.last().copied().unwrap_or(NoiseLaw { gain: 0.03, variance0: 0.3, black: capture.camera.black_level }),
-        |gain| NoiseLaw::from_sensor(gain, capture.camera.read_noise_e.unwrap_or(0.0), capture.camera.black_level),
-    );
+    let red_noise = red_noise(capture, &noise);
     let all = [Window::whole(red.width, red.height)];
     let edge_rays = edges::edge_rays(&plain, &level, &all, &red_noise, camera);
     let mut model = features.clone();
@@ -542,6 +541,7 @@ impl Scene<'_> {
         };
         let mut rings: Vec<Vec<&PanelEdge>> = chains
             .iter()
+            .filter(|c| c.roundness() > RING_ROUNDNESS)
             .map(|c: &Chain| c.edgels.iter().filter_map(position).collect::<Vec<_>>())
             .filter(|ring: &Vec<&PanelEdge>| all_around(ring))
             .collect();
