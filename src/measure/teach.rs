@@ -238,45 +238,46 @@ fn place(
             let u = up.cross(&w).normalize();
             Local { origin: point, axes: Matrix3::from_columns(&[u, w.cross(&u), w]) }
         };
+        let patch_about = |local: Local<frame::Camera>| {
+            let mask = mask_about(camera, panel, |uv| surface_point(&body.coarse, &local, uv)).eroded(EROSION_MM.1);
+            let site = Site::new(local, &mask);
+            let at = judging_points(&mask, site.hole_mm);
+            let patch = body::patch(&body.map, camera, &site, &body.coarse, &Shape::Smooth(&at)).map_err(|code| {
+                refusal(feature, code, "the surface about it cannot be measured: choose a capture without glare there")
+            })?;
+            Ok::<_, TeachError>((mask, patch))
+        };
         let local = frame_at(*point, &body.coarse);
-        let mask = mask_about(camera, panel, |uv| surface_point(&body.coarse, &local, uv)).eroded(EROSION_MM.1);
-        let site = Site::new(local, &mask);
-        let mut at: Vec<Vector2<f64>> = vec![Vector2::zeros()];
-        at.extend(
-            (0..12).map(|k| {
-                nalgebra::Rotation2::new(f64::from(k) * std::f64::consts::TAU / 12.0) * Vector2::new(20.0, 0.0)
-            }),
-        );
-        at.retain(|uv| uv.norm() < 1.0 || mask.contains(uv));
-        let patch = body::patch(&body.map, camera, &site, &body.coarse, &Shape::Smooth(&at)).map_err(|code| {
-            refusal(feature, code, "the surface about it cannot be measured: choose a capture without glare there")
-        })?;
+        let (mask, patch) = patch_about(local)?;
         let ray = camera.ray(click).expect("checked above");
-        let flap = matches!(feature.kind, Kind::Ellipse | Kind::Outline);
         let missed = || refusal(feature, Code::CoverageLow, "the click's ray misses the surface");
         let met = patch.surface.meet(&ray, 0.0).ok_or_else(missed)?;
-        let lift =
-            flap.then(|| body::bridge(&body.map, camera, &site, &patch.surface, &met.xy())).flatten().unwrap_or(0.0);
+        let lift = if matches!(feature.kind, Kind::Ellipse | Kind::Outline) {
+            body::bridge(&body.map, camera, &Site::new(local, &mask), &patch.surface, &met.xy()).unwrap_or(0.0)
+        } else {
+            0.0
+        };
         let met = patch.surface.meet(&ray, -lift).ok_or_else(missed)?;
-        let point = patch.surface.local.point(&met);
         // the frame that is remembered has its origin in the point and its w along the normal there
-        let local = frame_at(point, &patch.surface);
-        let patch = body::patch(
-            &body.map,
-            camera,
-            &Site::new(
-                local,
-                &mask_about(camera, panel, |uv| surface_point(&body.coarse, &local, uv)).eroded(EROSION_MM.1),
-            ),
-            &body.coarse,
-            &Shape::Smooth(&at),
-        )
-        .map_err(|code| {
-            refusal(feature, code, "the surface about it cannot be measured: choose a capture without glare there")
-        })?;
+        let local = frame_at(patch.surface.local.point(&met), &patch.surface);
+        let (_, patch) = patch_about(local)?;
         out.push(Placed { local, patch });
     }
     Ok(out)
+}
+
+/// Where a patch must be right, local (u, v): about the point as far as its contour reaches, and in the point itself
+/// unless that lies in a hole.
+fn judging_points(panel: &PanelMask, hole_mm: f64) -> Vec<Vector2<f64>> {
+    let ring = (0..12).map(|k| {
+        let turn = nalgebra::Rotation2::new(f64::from(k) * std::f64::consts::TAU / 12.0);
+        turn * Vector2::new(hole_mm + CORNER_MM / 2.0, 0.0)
+    });
+    let mut at: Vec<Vector2<f64>> = ring.filter(|uv| panel.contains(uv)).collect();
+    if hole_mm < CORNER_MM / 2.0 || at.is_empty() {
+        at.push(Vector2::zeros());
+    }
+    at
 }
 
 /// The point of `surface` over (u, v) of another local frame: along that frame's w.
