@@ -154,21 +154,6 @@ impl Polynomial {
         let m = DVector::from_row_slice(&m[..terms(self.order)]);
         m.dot(&(&self.covariance * &m))
     }
-
-    /// Covariance of the two slopes at (u, v), from the cells' noise.
-    pub fn slope_variance(&self, uv: &Vector2<f64>) -> Vector2<f64> {
-        let h = 1e-3 * self.scale;
-        let gradient = |d: Vector2<f64>| {
-            let (p, q) = (uv + d, uv - d);
-            let (a, b) = (
-                monomials(self.order, p.x / self.scale, p.y / self.scale),
-                monomials(self.order, q.x / self.scale, q.y / self.scale),
-            );
-            let g = DVector::from_fn(terms(self.order), |i, _| (a[i] - b[i]) / (2.0 * h));
-            g.dot(&(&self.covariance * &g))
-        };
-        Vector2::new(gradient(Vector2::new(h, 0.0)), gradient(Vector2::new(0.0, h)))
-    }
 }
 
 /// A polynomial surface on the body, in frame `F`.

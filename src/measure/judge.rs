@@ -13,9 +13,10 @@ use nalgebra::{Matrix3, Matrix6, Vector3};
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
 
 /// What shifts a feature's edges from body to body and paint to paint beyond noise, 1 sigma, mm, along the panel:
-/// reflections in the hem. Black against white paint in one pose: 0.01–0.06 mm, and that is the worst pair there is.
+/// reflections in the hem. Black against white paint in one pose: 0.01–0.06 mm.
 const EDGE_BIAS_MM: f64 = 0.027;
-/// How much more, times the share of the contour that is not seen: with 30 % hidden it is stated five times as large.
+/// How much more, times the share of the contour that is not seen: with 30 % hidden it is stated five and a half times
+/// as large. An assumption: how much a hidden stretch spoils what is beside it was not measured.
 const HIDDEN_BIAS: f64 = 15.0;
 /// The same across the panel: fringe harmonics, defocus; and never nothing.
 const NORMAL_BIAS_MM: f64 = 0.005;
@@ -25,7 +26,7 @@ const PAINT_SHIFT_MM: f64 = 0.01;
 const LIGHT_SHIFT_MM_PER_DEG: f64 = 0.005;
 /// Residuals farther off than this many sigmas belong to another body.
 const SIGMAS: f64 = 9.0;
-/// The same for distances, which what shifts all features together leaves alone: 4 on the worst good capture.
+/// The same for distances, which what shifts all features together leaves alone.
 const DISTANCE_SIGMAS: f64 = 6.0;
 /// The panel's normal at a feature, against the taught one in the measured pose: flush to 0.5°.
 const NORMAL_TILT_RAD: f64 = 0.009;
