@@ -4,8 +4,46 @@
 mod board;
 mod file;
 mod homography;
+mod propagate;
 pub mod target;
 
 pub use board::{Board, BoardKind, NotABoard};
 pub use file::{Calibration, PARAMETERS, ParameterCovariance, Quality, Rms, Serials};
 pub use homography::Homography;
+pub use propagate::{PointJacobian, Sensitivity, independent_errors};
+
+#[cfg(test)]
+mod testing {
+    //! The rig of the rendered captures, and a covariance such as a calibration states.
+
+    use super::{PARAMETERS, ParameterCovariance};
+    use crate::geometry::Pose;
+    use crate::optics::{Lens, Rig};
+    use nalgebra::{Rotation3, Vector3};
+
+    pub(super) fn rig() -> Rig {
+        let lens =
+            |width, height, f, cx, cy, distortion| Lens { width, height, fx: f, fy: f + 1.0, cx, cy, distortion };
+        Rig {
+            camera: lens(1296, 972, 1351.8, 651.45, 481.1, [-0.0853, 0.1042, 0.00043, -0.00031, -0.0215]),
+            projector: lens(1280, 800, 1052.0, 633.7, 391.4, [-0.02, 0.01, 0.0002, -0.0001, 0.0]),
+            projector_from_camera: Pose::new(
+                Rotation3::from_euler_angles(0.0113, -0.2853, -0.0103),
+                Vector3::new(213.0, -11.67, 77.83),
+            ),
+        }
+    }
+
+    /// Lenses to 0.1 px and a little of distortion, turns to 0.006°, shifts to 0.05 mm; neighbours correlated.
+    pub(super) fn stated() -> ParameterCovariance {
+        let sigma = |k: usize| match PARAMETERS[k] {
+            "rx" | "ry" | "rz" => 1e-4,
+            "tx" | "ty" | "tz" => 0.05,
+            name if name.ends_with(['x', 'y']) => 0.1,
+            _ => 1e-4,
+        };
+        ParameterCovariance::from_fn(|i, j| {
+            sigma(i) * sigma(j) * (-0.5f64).powi(i32::try_from(i.abs_diff(j)).expect("small"))
+        })
+    }
+}

@@ -4,7 +4,7 @@
 //! then Gauss–Newton on the weighted residuals, which is where the covariance comes from.
 
 use super::{Point3, Pose, skew};
-use nalgebra::{Matrix3, Matrix3x6, Matrix6, Rotation3, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
 
 /// One point known in both frames.
 #[derive(Debug, Clone, Copy)]
@@ -31,6 +31,36 @@ pub struct Registration<A, B> {
     pub residuals: Vec<Vector3<f64>>,
     /// Σ rᵀ·Σ⁻¹·r over the pairs; 3n − 6 degrees of freedom.
     pub chi2: f64,
+}
+
+impl<A, B> Registration<A, B> {
+    /// How the motion `inverse(true)·measured` follows the points: what it is per unit of errors that shift each
+    /// measured point of `pairs`, the ones registered, by `shifts` (A's axes, mm per unit; one column per error).
+    pub fn response<const N: usize>(&self, pairs: &[Pair<A, B>], shifts: &[SMatrix<f64, 3, N>]) -> SMatrix<f64, 6, N> {
+        let to_b = self.a_from_b.r.inverse();
+        let gained = |(index, (pair, shift)): (usize, (&Pair<A, B>, &SMatrix<f64, 3, N>))| {
+            let weight = weight(pair, &self.a_from_b, index).expect("it was registered with it");
+            motion_jacobian(&pair.nominal.xyz, &self.at.xyz).transpose() * weight * (to_b * shift)
+        };
+        self.covariance * pairs.iter().zip(shifts).enumerate().map(gained).sum::<SMatrix<f64, 6, N>>()
+    }
+
+    /// `chi2` of the residuals when each point of `pairs`, the ones registered, may also be off by `shifts`, as in
+    /// [`Self::response`], times independent errors of variance 1 that the points share.
+    pub fn chi2_granting<const N: usize>(&self, pairs: &[Pair<A, B>], shifts: &[SMatrix<f64, 3, N>]) -> f64 {
+        let (n, r) = (3 * pairs.len(), self.a_from_b.r);
+        let moved = self.response(pairs, shifts);
+        let mut covariance = DMatrix::zeros(n, n);
+        let (mut left, mut residuals) = (DMatrix::zeros(n, N), DVector::zeros(n));
+        for (k, ((pair, shift), residual)) in pairs.iter().zip(shifts).zip(&self.residuals).enumerate() {
+            let by_pose = motion_jacobian(&pair.nominal.xyz, &self.at.xyz) * moved;
+            covariance.fixed_view_mut::<3, 3>(3 * k, 3 * k).copy_from(&(r.inverse() * pair.covariance * r));
+            left.fixed_view_mut::<3, N>(3 * k, 0).copy_from(&(r.inverse() * shift - by_pose));
+            residuals.fixed_rows_mut::<3>(3 * k).copy_from(residual);
+        }
+        covariance += &left * left.transpose();
+        covariance.try_inverse().map_or(f64::INFINITY, |inverse| residuals.dot(&(inverse * &residuals)))
+    }
 }
 
 /// Why points do not determine a pose.
@@ -235,6 +265,28 @@ mod tests {
             let degrees = (3 * n - 6) as f64;
             assert!((chi2 / degrees - 1.0).abs() < 0.03, "n {n}: chi2 {chi2:.3} of {degrees}");
         }
+    }
+
+    #[test]
+    fn shared_errors_are_granted_in_chi2_and_none_change_nothing() {
+        let pose = Pose::<Camera, Vehicle>::new(
+            Rotation3::from_euler_angles(1.6, 0.02, 3.1),
+            Vector3::new(-2645.0, 777.0, 1656.0),
+        );
+        let (mut noise, draws, mut mean) = (Noise::new(6), 4000, 0.0);
+        for _ in 0..draws {
+            let mut pairs = pairs(&pose, 3, &mut noise);
+            let shifts: Vec<SMatrix<f64, 3, 2>> = pairs
+                .iter()
+                .map(|p| SMatrix::from_columns(&[p.measured.xyz * 3e-3, skew(&p.measured.xyz).column(1) * 2e-3]))
+                .collect();
+            let error = nalgebra::Vector2::new(noise.gauss(), noise.gauss());
+            pairs.iter_mut().zip(&shifts).for_each(|(p, shift)| p.measured.xyz += shift * error);
+            let got = register(&pairs).expect("a triangle");
+            assert!((got.chi2_granting(&pairs, &[SMatrix::<f64, 3, 2>::zeros(); 3]) / got.chi2 - 1.0).abs() < 1e-6);
+            mean += got.chi2_granting(&pairs, &shifts) / f64::from(draws);
+        }
+        assert!((mean / 3.0 - 1.0).abs() < 0.06, "{mean:.3} of 3 degrees of freedom"); // 4000 draws: 0.013
     }
 
     #[test]
