@@ -3,12 +3,14 @@
 
 mod board;
 mod file;
+mod health;
 mod homography;
 mod propagate;
 pub mod target;
 
 pub use board::{Board, BoardKind, NotABoard};
 pub use file::{Calibration, PARAMETERS, ParameterCovariance, Quality, Rms, Serials};
+pub use health::{Health, Known, MAX_EPIPOLAR_PX, MAX_INDEX, Turn};
 pub use homography::Homography;
 pub use propagate::{PointJacobian, Sensitivity, independent_errors};
 

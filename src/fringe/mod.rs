@@ -3,10 +3,12 @@
 //! Out: per camera pixel the projector coordinate that lights it, the depth of the surface, and their variances.
 //! Left to others: files, which windows matter, what the surface is. Where a pixel cannot be trusted it is NaN.
 //!
-//! images → [`Accumulator`] → [`decode`] → [`unwrap`] (with [`CoordinateMap::predict`]) → [`DepthMap`].
+//! images → [`Accumulator`] → [`decode`] → [`unwrap`] (with [`CoordinateMap::predict`]) → [`DepthMap`]; with fringes
+//! across the measuring axis → [`epipolar_cells`].
 
 mod accumulate;
 mod decode;
+mod epipolar;
 mod noise;
 mod pattern;
 mod triangulate;
@@ -14,6 +16,7 @@ mod unwrap;
 
 pub use accumulate::Accumulator;
 pub use decode::{Limits, Phase, PhaseMap, State, decode};
+pub use epipolar::{EpipolarCell, epipolar_cells};
 pub use noise::{NoiseLaw, NoiseSample, difference_samples, residual_samples};
 pub use pattern::{Axis, PatternSet};
 pub use triangulate::{Depth, DepthMap, Rays, epipolar_residual, projector_coordinate, triangulate};
