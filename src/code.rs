@@ -78,7 +78,7 @@ codes! {
     OutOfLimits = 605, "out of limits", "The vehicle stands outside the station's limits.", "Park the vehicle again.";
     DenseDisagrees = 606, "dense pose disagrees", "The pose from points and the pose from surfaces disagree.", "Look at the overlay; check the vehicle model.";
     CalibrationExpired = 701, "calibration expired", "The calibration is too old.", "Calibrate or verify the station.";
-    CalibrationHealth = 702, "calibration health", "The epipolar residual is too high: camera or projector has moved.", "Verify the station; calibrate it if that fails.";
+    CalibrationHealth = 702, "calibration health", "Camera and projector no longer stand to each other as calibrated.", "Verify the station; calibrate it if that fails.";
     VerifyScale = 703, "verification: scale", "The verification failed: lengths are wrong.", "Calibrate the station.";
     VerifyDatum = 704, "verification: datum", "The verification failed: the artefact seems to stand elsewhere.", "Check the artefact's seat; survey the datum anew.";
     HeadSwapped = 705, "head swapped", "The measuring head was swapped and has not been verified.", "Verify the station.";

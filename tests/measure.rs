@@ -4,8 +4,10 @@
 mod common;
 
 use common::{Set, here, over_sigma};
-use datum::VehicleFile;
-use datum::measure::Verdict;
+use datum::calibrate::ParameterCovariance;
+use datum::measure::{Measurement, Verdict};
+use datum::{Calibration, Code, Point3, VehicleFile, frame};
+use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
 use serde_json::Value;
 
 // At 1.1 mm per pixel; about twice what was found. A feature off by a quarter of a pixel fails.
@@ -44,6 +46,69 @@ fn a_moved_vehicle_is_where_it_is_said_to_be() {
         }
         assert!(drawing.contours.len() > 200 && drawing.regions.len() == 4, "{name}: little to draw");
     }
+}
+
+/// The poses that a calibration off by each of a few errors gives are off by what its covariance says, and a body is
+/// not another because the calibration's lengths are off by no more than it says.
+#[test]
+fn the_calibrations_covariance_becomes_the_poses() {
+    let (set, features) = set();
+    let taught = set.teach("taught", &features);
+    let with = |errors: &[(usize, f64)], off: Option<(usize, f64)>| {
+        let mut covariance = ParameterCovariance::zeros();
+        errors.iter().for_each(|(k, sigma)| covariance[(*k, *k)] = sigma * sigma);
+        let covariance = (!errors.is_empty()).then(|| Box::new(covariance));
+        let mut calibration = Calibration { covariance, ..set.calibration.clone() };
+        let (rig, relation) = (&mut calibration.rig, &mut set.calibration.rig.projector_from_camera.clone());
+        match off {
+            Some((0, by)) => rig.camera.fx += by,
+            Some((11, by)) => rig.projector.cx += by,
+            Some((k @ 18..21, by)) => relation.r = Rotation3::new(Vector3::ith(k - 18, by)) * relation.r,
+            Some((k, by)) => relation.t[k - 21] += by,
+            None => {}
+        }
+        rig.projector_from_camera = *relation;
+        let set = Set { folder: set.folder.clone(), calibration };
+        set.measure(&set.measurer(&taught, &format!("covariance-{errors:?}-{off:?}")), "moved").0
+    };
+    let stated = |m: &Measurement| {
+        assert_eq!(m.verdict, Verdict::Ok, "{}", m.detail);
+        let covariance = m.covariance.expect("a pose has one");
+        Matrix6::from_fn(|i, j| covariance[i][j])
+    };
+    // camera.fx, projector.cx, ry, tx; so little that every measurement is ok
+    let errors = [(0, 0.05), (11, 0.04), (19, 4e-5), (21, 0.04)];
+    let exact = with(&[], None);
+    let added = stated(&with(&errors, None)) - stated(&exact);
+    let pose = common::pose(&exact).expect("ok has one");
+    let at = Point3::<frame::Vehicle>::new(exact.covariance_at_mm.expect("with the pose").into());
+    let mut seen = Matrix6::zeros();
+    for error in errors {
+        let [plus, minus] = [1.0, -1.0].map(|sign| {
+            let motion = pose.inverse() * common::pose(&with(&[], Some((error.0, sign * error.1)))).expect("measured");
+            let (t, r) = ((motion * at) - at, motion.r.scaled_axis());
+            Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z)
+        });
+        let column = 0.5 * (plus - minus);
+        seen += column * column.transpose();
+    }
+    for k in 0..6 {
+        let (stated, seen) = (added[(k, k)].sqrt(), seen[(k, k)].sqrt());
+        let anew = if k < 3 { 0.0025 } else { 6e-6 }; // features located anew differ by µm
+        assert!((stated - seen).abs() < 0.02 * seen + anew, "{k}: {stated:e} stated, {seen:e} seen");
+    }
+    let along = |m: &Matrix6<f64>| m[(1, 5)] / (m[(1, 1)] * m[(5, 5)]).sqrt();
+    assert!(
+        (along(&added) - along(&seen)).abs() < 0.03,
+        "depth and yaw: {} stated, {} seen",
+        along(&added),
+        along(&seen)
+    );
+
+    let longer = Some((21, 0.27)); // 0.11 %
+    assert_eq!(with(&[], longer).code, Some(Code::Distances));
+    let tolerated = with(&[(21, 0.27)], longer);
+    assert_eq!(tolerated.code, None, "{}", tolerated.detail);
 }
 
 /// A result as text: every bit of every number, unlike `==`, which takes -0 for 0 and no NaN for itself.
@@ -92,7 +157,7 @@ fn the_program_prints_every_key_of_the_contract() {
     assert!(known.len() > 50, "{known:?}");
     assert_eq!(known, paths(&frozen[0]));
     let nulls = |v: &Value| serde_json::to_string(v).expect("JSON").matches("null").count();
-    assert_eq!(nulls(&printed[0]), 1, "only points_minus_dense_mm is unknown: {printed}");
+    assert_eq!(nulls(&printed[0]), 2, "only points_minus_dense_mm and calibration_health are unknown: {printed}");
 }
 
 /// Every key below `v`, with the keys above it; the items of a list share theirs.

@@ -1,6 +1,7 @@
 //! What `measure` prints is frozen: others read it. `REGENERATE=1 cargo test --release` rewrites the files in
 //! tests/data; read the difference.
 
+use datum::calibrate::Health;
 use datum::measure::*;
 use datum::{Code, Pose, frame};
 
@@ -53,6 +54,16 @@ fn results() -> [Measurement; 3] {
             FeatureResult { code: Some(Code::NotFound), ..FeatureResult::unknown("corner-2") },
             FeatureResult { score: Some(f64::NAN), ..FeatureResult::unknown("cap") },
         ],
+        calibration_health: Some(Health {
+            index: 8.5,
+            epipolar_px: 0.0125,
+            scale_percent: Some(-0.0625),
+            scale_sigma_percent: None,
+            healthy: false,
+            detail: "calibration health: the camera seems turned".into(),
+            turn: None,
+            size: None,
+        }),
         ..Measurement::without_pose(
             "b".into(),
             Verdict::NotMeasurable,
@@ -135,6 +146,7 @@ fn the_keys_and_their_order_are_those_of_the_contract() {
         "distance_deviation_mm",
         "depth_coverage",
         "points_minus_dense_mm",
+        "calibration_health",
         "timing_ms",
         "read",
         "detect",
@@ -152,6 +164,7 @@ fn the_keys_and_their_order_are_those_of_the_contract() {
 #[test]
 fn what_is_unknown_is_null_and_never_zero() {
     let value: serde_json::Value = serde_json::from_str(&json(&results())).expect("JSON");
+    assert!(value[1]["calibration_health"]["scale_sigma_percent"].is_null());
     for refused in [&value[1], &value[2]] {
         for key in ["camera_from_vehicle", "station_from_vehicle", "covariance", "uncertainty_k2", "residual_rms_mm"] {
             assert!(refused.get(key).is_some_and(serde_json::Value::is_null), "{key} of {refused}");

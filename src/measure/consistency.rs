@@ -1,17 +1,25 @@
-//! Whether the fringe images agree with each other and with the calibration, over the panels that are measured.
-//! In:  decoded coordinates, depth. Out: a refusal, or nothing. Not here: whether features agree with the model.
+//! Whether the fringe images agree with each other and with the calibration.
+//! In:  decoded coordinates, epipolar residuals, the judged pose. Out: the calibration's health; a refusal, or nothing.
+//! Not here: whether features agree with the model.
+//!
+//! An unhealthy calibration alone is a warning, and what its error does to the pose becomes part of the uncertainty. Refused
+//! are fringes far off the epipolar lines about a feature, and a pose that the rig's motion makes a wrong one.
 
 use super::body::{self, Site};
 use super::cycle::{Run, about};
-use super::judge::Refused;
+use super::judge::{self, Judged, Refused};
+use crate::calibrate::{Health, MAX_EPIPOLAR_PX, Turn};
 use crate::code::Code;
-use crate::fringe::{self, Axis, CoordinateMap, DepthMap, State};
-use crate::geometry::Point3;
+use crate::fringe::{CoordinateMap, EpipolarCell, State};
+use crate::geometry::robust;
+use nalgebra::Matrix6;
 
 /// Share of pixels of the panels whose fringe images may contradict each other.
 const MAX_CONTRADICTORY: f64 = 0.3;
-/// Largest epipolar residual about a feature, projector px.
-pub(super) const MAX_EPIPOLAR_PX: f64 = 0.15;
+/// A rig that has moved may not take more than this of the 0.5 mm at the features' centroid and the 0.15° that make a pose a
+/// wrong one.
+const WRONG_MM: f64 = 0.4;
+const WRONG_DEG: f64 = 0.12;
 
 impl Run<'_, '_> {
     /// Fringe images of a still body under steady light are samples of a sine almost everywhere on the panel. Where
@@ -36,48 +44,56 @@ impl Run<'_, '_> {
         })
     }
 
-    /// What the other axis' fringes say of the calibration: each point's row, given the depth that its column gave.
-    pub(super) fn epipolar(
-        &self,
-        across: &fringe::PhaseMap,
-        map: &DepthMap<'_>,
-        sites: &[Site<'_>],
-    ) -> Option<Refused> {
-        let (m, projector) = (self.cycle.measurer, &self.cycle.capture.projector);
-        let rig = &m.calibration.rig;
-        let axis = across.set.axis;
-        let pitch = across.set.pitch(if axis == Axis::Column { projector.width } else { projector.height });
-        let window = across.window;
-        let mut worst = (0.0, "");
-        for (site, template) in sites.iter().zip(&m.templates) {
-            let Some(about) = about(m, &site.local.origin.xyz, body::REACH_MM) else { continue };
-            let mut sums = (0.0, 0.0, 0usize);
-            for y in about.y.max(window.y)..(about.y + about.height).min(window.y + window.height) {
-                for x in about.x.max(window.x)..(about.x + about.width).min(window.x + window.width) {
-                    let i = (y - window.y) * window.width + x - window.x;
-                    let (phase, depth) = (&across.pixels[i], &map.pixels[i]);
-                    if phase.state != State::Valid || depth.state != State::Valid {
-                        continue;
-                    }
-                    let point = Point3::new(map.rays.at(x, y) * f64::from(depth.z));
-                    if let Some(expected) = fringe::projector_coordinate(rig, axis, &point) {
-                        let off = f64::from(phase.phase) - (expected + 0.5) / pitch * std::f64::consts::TAU;
-                        sums = (sums.0 + off.cos(), sums.1 + off.sin(), sums.2 + 1);
-                    }
-                }
+    /// What the other axis' fringes say of the calibration about each feature.
+    pub(super) fn epipolar(&self, sites: &[Site<'_>]) -> Option<Refused> {
+        let m = self.cycle.measurer;
+        let residual = |site: &Site<'_>| {
+            let w = about(m, &site.local.origin.xyz, body::REACH_MM)?;
+            let inside = |c: &&EpipolarCell| {
+                let (x, y) = (c.pixel.x - w.x as f64, c.pixel.y - w.y as f64);
+                (0.0..w.width as f64).contains(&x) && (0.0..w.height as f64).contains(&y)
+            };
+            let mut off: Vec<f64> = self.cells.iter().filter(inside).map(|c| c.residual.abs()).collect();
+            Some(robust::median(&mut off))
+        };
+        let found = sites.iter().zip(&m.templates).filter_map(|(site, t)| Some((residual(site)?, &t.feature)));
+        let (off, feature) = found.filter(|(off, _)| *off > MAX_EPIPOLAR_PX).max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let detail = format!(
+            "About {feature} the fringes lie {off:.2} projector px off the epipolar line, allowed {MAX_EPIPOLAR_PX}."
+        );
+        Some(Self::refuse(Code::CalibrationHealth, detail))
+    }
+
+    /// What this vehicle says of the calibration, where there are fringes of both axes.
+    pub(super) fn health(&self) -> Option<Health> {
+        let m = self.cycle.measurer;
+        let known = self.pose.map(|pose| self.evidence().iter().map(|e| e.known(&pose)).collect::<Vec<_>>());
+        Health::new(&m.calibration, &m.errors, self.axis, &self.cells, &known.unwrap_or_default())
+    }
+
+    /// The pose with what a rig that has surely moved does to it: that counts as uncertainty, as it may have another
+    /// cause, and where it alone would make the pose a wrong one there is none. A turn across the fringes moves points by
+    /// 0.5 mm before the fringes are 0.02 px off, and a longer baseline moves them unseen by the fringes.
+    pub(super) fn with_health(&self, mut judged: Judged, health: &Health) -> Result<Judged, Refused> {
+        let rig = &self.cycle.measurer.calibration.rig;
+        let evidence = self.evidence();
+        let turned = health.turn.map(|turn| {
+            let per_turn = judge::response(&evidence, &judged.registration, |e| Turn::shift(rig, &e.located.response));
+            (per_turn * turn.vector, per_turn * turn.covariance * per_turn.transpose())
+        });
+        let scaled = health.size.map(|size| {
+            let motion = judge::response(&evidence, &judged.registration, |e| e.located.point.xyz * size);
+            (motion, Matrix6::zeros())
+        });
+        for (motion, covariance) in turned.into_iter().chain(scaled) {
+            let (mm, deg) = (motion.fixed_rows::<3>(0).norm(), motion.fixed_rows::<3>(3).norm().to_degrees());
+            if mm > WRONG_MM || deg > WRONG_DEG {
+                let detail =
+                    format!("The pose is wrong by {mm:.2} mm and {deg:.3}° at the features. {}.", health.detail);
+                return Err(Self::refuse(Code::CalibrationHealth, detail));
             }
-            // the mean direction needs no unwrapping
-            let off: f64 = sums.1.atan2(sums.0) / std::f64::consts::TAU * pitch;
-            if sums.2 > 100 && off.abs() > f64::abs(worst.0) {
-                worst = (off, template.feature.as_str());
-            }
+            judged.covariance += motion * motion.transpose() + covariance;
         }
-        (worst.0.abs() > MAX_EPIPOLAR_PX).then(|| {
-            let detail = format!(
-                "About {} the fringes lie {:+.2} projector px off the epipolar line, allowed {MAX_EPIPOLAR_PX}.",
-                worst.1, worst.0
-            );
-            Self::refuse(Code::CalibrationHealth, detail)
-        })
+        Ok(judged)
     }
 }

@@ -12,7 +12,7 @@ use super::regions::{self, Region};
 use super::{Drawing, Measurement, Measurer};
 use crate::capture::Capture;
 use crate::code::Code;
-use crate::fringe::{self, NoiseLaw, Rays, State};
+use crate::fringe::{self, Axis, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
 use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
 use crate::image::{Image, Window};
 use crate::optics::Pixel;
@@ -122,9 +122,22 @@ impl<'a> Cycle<'a> {
 
     /// The measurement. `ended` is told when each stage has ended.
     pub fn finish(self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
-        let mut run = Run { cycle: &self, located: Vec::new(), pose: None, coverage: None };
+        let mut run = Run {
+            cycle: &self,
+            located: Vec::new(),
+            pose: None,
+            coverage: None,
+            axis: Axis::Column,
+            cells: Vec::new(),
+        };
         let outcome = run.pose(ended);
+        let health = run.health();
+        let outcome = match &health {
+            Some(health) => outcome.and_then(|judged| run.with_health(judged, health)),
+            None => outcome,
+        };
         let mut measurement = run.report(outcome);
+        measurement.calibration_health = health;
         ended(Stage::Pose);
         measurement.station = self.measurer.station();
         (measurement, run.drawing())
@@ -137,6 +150,10 @@ pub(super) struct Run<'c, 'a> {
     pub(super) located: Vec<Result<Located, Code>>,
     pub(super) pose: Option<CameraFromVehicle>,
     pub(super) coverage: Option<f64>,
+    /// Of the projector, that depth comes from.
+    pub(super) axis: Axis,
+    /// How far the fringes of the other axis lie off the epipolar lines; empty without.
+    pub(super) cells: Vec<EpipolarCell>,
 }
 
 impl Run<'_, '_> {
@@ -180,10 +197,11 @@ impl Run<'_, '_> {
             }
             return Err(Self::refuse(code, "Too little of the body has depth to find its surface."));
         };
-        let across = c.fringes.across(c.capture, coordinates.axis, &noise);
-        let refused = self
-            .contradictory(&coordinates, &far)
-            .or_else(|| across.and_then(|across| self.epipolar(&across, &body.map, &far)));
+        self.axis = coordinates.axis;
+        if let Some(across) = c.fringes.across(c.capture, self.axis, &noise) {
+            self.cells = epipolar_cells(rig, &body.map, &across);
+        }
+        let refused = self.contradictory(&coordinates, &far).or_else(|| self.epipolar(&far));
         if let Some(refused) = refused {
             self.located.clear(); // no feature is to blame
             return Err(refused);
@@ -208,7 +226,7 @@ impl Run<'_, '_> {
                     // a region that was not found may still be where the others' pose expects it
                     let patch = self.patch(&body, &sites[k], k)?;
                     coverage = coverage.min(patch.coverage);
-                    locate(&templates[k], &c.measurer.surfaces[k], &patch, &rays, capture)
+                    locate(&templates[k], &c.measurer.surfaces[k], &patch, &rays, capture, (rig, self.axis))
                         .map_err(|code| c.regions[k].err().unwrap_or(code))
                 })
                 .collect();
@@ -264,14 +282,16 @@ impl Run<'_, '_> {
         Self::refuse(code, format!("{three}{}.", reasons.join(", ")))
     }
 
-    fn evidence(&self) -> Vec<Evidence<'_>> {
+    pub(super) fn evidence(&self) -> Vec<Evidence<'_>> {
         let m = self.cycle.measurer;
         m.vehicle
             .features
             .iter()
             .zip(&m.templates)
             .zip(&self.located)
-            .filter_map(|((feature, template), l)| Some(Evidence { feature, template, located: l.as_ref().ok()? }))
+            .filter_map(|((feature, template), l)| {
+                Some(Evidence { feature, template, located: l.as_ref().ok()?, errors: &m.errors })
+            })
             .collect()
     }
 

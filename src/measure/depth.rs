@@ -3,7 +3,7 @@
 //! Not here: patches about features.
 
 use super::body::{self, Site};
-use super::consistency::MAX_EPIPOLAR_PX;
+use crate::calibrate::MAX_EPIPOLAR_PX;
 use crate::capture::Capture;
 use crate::fringe::{
     self, Accumulator, Axis, CoordinateMap, DepthMap, Limits, NoiseLaw, NoiseSample, PatternSet, Rays,

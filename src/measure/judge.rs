@@ -3,12 +3,16 @@
 //!
 //! The uncertainty is propagated, never read off the residual: three points fit any body of the right size.
 //! The residual is a check of its own, and so are the panel's normals, which three points alone do not see.
+//!
+//! What the calibration's covariance says is propagated to the pose against the camera, whatever the station frame is: a
+//! deviation from a pose taught with the same calibration is known better than stated, as its errors are shared.
 
 use super::locate::Located;
+use crate::calibrate::{Known, ParameterCovariance, PointJacobian};
 use crate::code::Code;
 use crate::geometry::{EulerDeg, Pair, Point3, Pose, Registration, frame, motion_jacobian, register};
 use crate::vehicle::{Anchor, Template, VehicleFile};
-use nalgebra::{Matrix3, Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
 
@@ -37,7 +41,7 @@ const COMMON_TILT_RAD: f64 = 0.0026;
 /// A pose that passed every check, and what was computed on the way.
 pub(crate) struct Judged {
     pub(crate) registration: Registration<frame::Camera, frame::Vehicle>,
-    /// The registration's covariance with the common-mode terms, same convention.
+    /// The registration's covariance with the common-mode terms and the calibration's, same convention.
     pub(crate) covariance: Matrix6<f64>,
     pub(crate) residual_rms_mm: f64,
     pub(crate) distance_deviation_mm: f64,
@@ -51,20 +55,39 @@ pub(crate) struct Refused {
 }
 
 /// A located feature with what it is to be compared with.
+#[derive(Clone, Copy)]
 pub(crate) struct Evidence<'a> {
     pub(crate) feature: &'a crate::vehicle::Feature,
     pub(crate) template: &'a Template,
     pub(crate) located: &'a Located,
+    /// The calibration's independent errors, zero where it states none.
+    pub(crate) errors: &'a ParameterCovariance,
 }
 
 impl Evidence<'_> {
-    /// Covariance of the located point without what teaching and body contribute, camera axes, mm².
-    pub(crate) fn measured_covariance(&self) -> Matrix3<f64> {
+    /// Covariance of the located point without what calibration, teaching and body contribute, camera axes, mm².
+    fn measured_covariance(&self) -> Matrix3<f64> {
         let n = self.located.normal;
         let across = n * n.transpose();
         // whatever hides a part of a contour also shades or blurs what is left beside it
         let edge_bias = EDGE_BIAS_MM * (1.0 + HIDDEN_BIAS * (1.0 - self.located.share));
         self.located.noise + (Matrix3::identity() - across) * edge_bias.powi(2) + across * NORMAL_BIAS_MM.powi(2)
+    }
+
+    /// How the located point follows the calibration's independent errors, camera axes, mm per sigma. Features share
+    /// them: never a part of one feature's covariance.
+    fn spread(&self) -> PointJacobian {
+        self.located.response * self.errors
+    }
+
+    /// Covariance of the located point with the calibration's part, camera axes, mm².
+    pub(crate) fn located_covariance(&self) -> Matrix3<f64> {
+        let spread = self.spread();
+        self.measured_covariance() + spread * spread.transpose()
+    }
+
+    pub(crate) fn known(&self, pose: &CameraFromVehicle) -> Known {
+        Known { pair: self.pair(pose), spread: self.spread() }
     }
 
     /// Covariance of the taught point on its panel and of the body, the same for every vehicle of the model, camera axes.
@@ -110,11 +133,13 @@ pub(crate) fn judge(
             let nominal = (a.feature.position() - b.feature.position()).norm();
             let deviation = measured.norm() - nominal;
             let along = measured.normalize();
-            let of_model = a.model_covariance(&pose) + b.model_covariance(&pose);
+            let of_calibration = a.spread() - b.spread();
+            let of_model =
+                a.model_covariance(&pose) + b.model_covariance(&pose) + of_calibration * of_calibration.transpose();
             let of_measuring = a.measured_covariance() + b.measured_covariance();
             let sigma = |m: Matrix3<f64>| along.dot(&(m * along)).sqrt();
             let between = format!("{} to {}: {:+.3} mm", b.feature.name, a.feature.name, deviation);
-            // what is not known of the taught points cannot be held against the vehicle
+            // what is not known of the taught points and the calibration cannot be held against the vehicle
             if deviation.abs() > model.limits.distance_mm + 3.0 * sigma(of_model) {
                 too_far.get_or_insert(format!("{between} from nominal, allowed ±{} mm", model.limits.distance_mm));
             } else if deviation.abs() > DISTANCE_SIGMAS * sigma(of_model + of_measuring) {
@@ -156,18 +181,41 @@ pub(crate) fn judge(
     }
     if evidence.len() > 3 {
         leave_one_out(evidence, &pose).map_err(|detail| refused(Code::Residual, detail, Some(worst.0)))?;
-    } else if registration.chi2 > SIGMAS * SIGMAS {
-        let detail = format!("the features are {:.1} sigmas from nominal, allowed {SIGMAS}", registration.chi2.sqrt());
-        return Err(refused(Code::Residual, detail, Some(worst.0)));
+    } else {
+        let spreads: Vec<_> = evidence.iter().map(Evidence::spread).collect();
+        let chi2 = registration.chi2_granting(&pairs(evidence, &registration), &spreads);
+        if chi2 > SIGMAS * SIGMAS {
+            let detail = format!("the features are {:.1} sigmas from nominal, allowed {SIGMAS}", chi2.sqrt());
+            return Err(refused(Code::Residual, detail, Some(worst.0)));
+        }
     }
 
+    let of_calibration = response(evidence, &registration, |e| e.spread());
     let squares: f64 = registration.residuals.iter().map(|r| r.norm_squared()).sum();
     Ok(Judged {
-        covariance: registration.covariance + common_mode(evidence, &pose),
+        covariance: registration.covariance
+            + common_mode(evidence, &pose)
+            + of_calibration * of_calibration.transpose(),
         residual_rms_mm: (squares / evidence.len() as f64).sqrt(),
         distance_deviation_mm: worst.0,
         registration,
     })
+}
+
+/// The motion of the pose when each located point is shifted by `shift`, camera axes; one column per error.
+pub(crate) fn response<const N: usize>(
+    evidence: &[Evidence<'_>],
+    registration: &Registration<frame::Camera, frame::Vehicle>,
+    shift: impl Fn(&Evidence<'_>) -> SMatrix<f64, 3, N>,
+) -> SMatrix<f64, 6, N> {
+    registration.response(&pairs(evidence, registration), &evidence.iter().map(shift).collect::<Vec<_>>())
+}
+
+fn pairs(
+    evidence: &[Evidence<'_>],
+    registration: &Registration<frame::Camera, frame::Vehicle>,
+) -> Vec<Pair<frame::Camera, frame::Vehicle>> {
+    evidence.iter().map(|e| e.pair(&registration.a_from_b)).collect()
 }
 
 /// How the panel as a whole is turned against the taught one in the pose that the points make: the mean over the
@@ -184,13 +232,16 @@ fn common_tilt(evidence: &[Evidence<'_>]) -> Vector3<f64> {
 fn leave_one_out(evidence: &[Evidence<'_>], pose: &CameraFromVehicle) -> Result<(), String> {
     let mut worst = (0.0, String::new());
     for k in 0..evidence.len() {
-        let pairs: Vec<_> = evidence.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, e)| e.pair(pose)).collect();
-        let Ok(others) = register(&pairs) else { continue }; // the rest lies on a line: nothing to say
+        let rest: Vec<_> = evidence.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, e)| *e).collect();
+        let Ok(others) = fit(&rest, pose) else { continue }; // the rest lies on a line: nothing to say
         let pair = evidence[k].pair(pose);
         let residual = others.a_from_b.inverse() * pair.measured - pair.nominal;
         let j = motion_jacobian(&pair.nominal.xyz, &others.at.xyz);
         let r = others.a_from_b.r;
-        let covariance = r.inverse() * pair.covariance * r + j * others.covariance * j.transpose();
+        // the calibration's errors move this one and the others together
+        let apart = r.inverse() * evidence[k].spread() - j * response(&rest, &others, |e| e.spread());
+        let covariance =
+            r.inverse() * pair.covariance * r + j * others.covariance * j.transpose() + apart * apart.transpose();
         let Some(inverse) = covariance.try_inverse() else { continue };
         let sigmas = residual.dot(&(inverse * residual)).sqrt();
         if sigmas > worst.0 {

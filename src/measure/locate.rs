@@ -7,12 +7,15 @@
 
 use super::body::Patch;
 use super::edges::EdgeRay;
+use crate::calibrate::{PointJacobian, Sensitivity};
 use crate::code::Code;
 use crate::contour::{
     Alignment, AlignmentOptions, ContourPoint, EllipseLimits, Motion, NoAlignment, TemplatePoint, align, arch_top,
     fit_ellipse,
 };
+use crate::fringe::Axis;
 use crate::geometry::{Point3, Polynomial, frame};
+use crate::optics::Rig;
 use crate::vehicle::{Anchor, Template};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 
@@ -23,6 +26,8 @@ pub(crate) struct Located {
     pub(crate) point: Point3<frame::Camera>,
     /// Its covariance from noise, camera axes, mm².
     pub(crate) noise: Matrix3<f64>,
+    /// How it follows the calibrated parameters, camera axes, mm per unit.
+    pub(crate) response: PointJacobian,
     /// Outward normal of the panel there, camera axes.
     pub(crate) normal: Vector3<f64>,
     /// What it would be if the panel stood to the pose as it was taught.
@@ -80,13 +85,15 @@ pub(crate) fn on_panel(rays: &[EdgeRay], patch: &Patch, depth_mm: f64, reach_mm:
         .collect()
 }
 
-/// Locates the taught point, looking for the contour within `capture_mm` of where the pose expects it.
+/// Locates the taught point, looking for the contour within `capture_mm` of where the pose expects it. Depth came from
+/// the projector's `axis`.
 pub(crate) fn locate(
     template: &Template,
     taught_surface: &Polynomial,
     patch: &Patch,
     rays: &[EdgeRay],
     capture_mm: f64,
+    (rig, axis): (&Rig, Axis),
 ) -> Result<Located, Code> {
     let shape: Vec<TemplatePoint> =
         template.contour.iter().map(|p| TemplatePoint { position: p.at(), normal: p.normal() }).collect();
@@ -126,8 +133,10 @@ pub(crate) fn locate(
     let at = at + taught.xy();
     let lift = taught_surface.height(&taught.xy()) - taught.z;
     let w = surface.polynomial.height(&at) - lift;
+    let point = surface.local.point(&at.push(w));
     Ok(Located {
-        point: surface.local.point(&at.push(w)),
+        point,
+        response: Sensitivity::new(rig, axis, &point).ok_or(Code::OutOfVolume)?.point,
         noise: axes * noise * axes.transpose(),
         normal: surface.normal(&at),
         taught_normal: {

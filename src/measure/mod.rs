@@ -27,7 +27,7 @@ pub use result::{
 };
 pub use teach::{Taught, TeachError, teach};
 
-use crate::calibrate::Calibration;
+use crate::calibrate::{Calibration, ParameterCovariance, independent_errors};
 use crate::capture::{self, Capture};
 use crate::geometry::{Polynomial, Pose, frame};
 use crate::image::Window;
@@ -49,6 +49,8 @@ pub struct Drawing {
 /// Calibration and vehicle model, ready to measure: what belongs to start-up and not to a vehicle.
 pub struct Measurer {
     calibration: Calibration,
+    /// The independent errors of the calibration; zero where it states none.
+    errors: Box<ParameterCovariance>,
     vehicle: VehicleFile,
     templates: Vec<Template>,
     /// The panels' shapes about the features.
@@ -71,7 +73,8 @@ impl Measurer {
         let (far_masks, near_masks) = (eroded(cycle::EROSION_MM.0), eroded(cycle::EROSION_MM.1));
         let surfaces =
             templates.iter().map(|t| t.surface.polynomial().expect("checked when it was read or made")).collect();
-        Self { calibration, vehicle, templates, surfaces, far_masks, near_masks }
+        let errors = calibration.covariance.as_deref().map_or_else(ParameterCovariance::zeros, independent_errors);
+        Self { calibration, errors: Box::new(errors), vehicle, templates, surfaces, far_masks, near_masks }
     }
 
     /// Begins a vehicle with its red image, whose size is the calibration's. `capture` says what the images are.

@@ -99,8 +99,8 @@ impl Run<'_, '_> {
                 }
                 match self.located.get(k) {
                     Some(Ok(located)) => {
-                        let evidence = Evidence { feature, template: &m.templates[k], located };
-                        let covariance = evidence.measured_covariance();
+                        let evidence = Evidence { feature, template: &m.templates[k], located, errors: &m.errors };
+                        let covariance = evidence.located_covariance();
                         out.pixel = camera.project(&located.point.xyz).map(Into::into);
                         out.camera_mm = Some(located.point.xyz.into());
                         out.covariance_mm2 = Some(std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)])));

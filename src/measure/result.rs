@@ -1,6 +1,7 @@
 //! What a measurement says: the objects of `measure --json`, and one line for people.
 //! An unknown number is `None` and becomes null, never 0; so does a number that is not finite.
 
+use crate::calibrate::Health;
 use crate::code::Code;
 use crate::geometry::{EulerDeg, Pose};
 use serde::Serialize;
@@ -46,6 +47,8 @@ pub struct Measurement {
     pub depth_coverage: Option<f64>,
     /// Distance of the point pose from the dense pose.
     pub points_minus_dense_mm: Option<f64>,
+    /// Whether camera and projector stand to each other as calibrated; none without fringes across the measuring axis.
+    pub calibration_health: Option<Health>,
     /// How long it took.
     pub timing_ms: Timing,
 }
@@ -238,6 +241,7 @@ impl Measurement {
             distance_deviation_mm: None,
             depth_coverage: None,
             points_minus_dense_mm: None,
+            calibration_health: None,
             timing_ms: Timing::default(),
         }
     }
@@ -249,7 +253,7 @@ pub fn json(results: &[Measurement]) -> String {
     format!("[{}]\n", results.iter().map(one).collect::<Vec<_>>().join(",\n "))
 }
 
-/// Results for people: a heading, and one aligned line per capture.
+/// Results for people: a heading, one aligned line per capture, and one for the calibration's health where it is known.
 pub fn table(results: &[Measurement]) -> String {
     let widest = results.iter().map(|m| m.capture.chars().count()).max().unwrap_or(0).max("capture".len());
     let mut out = format!(
@@ -284,6 +288,9 @@ pub fn table(results: &[Measurement]) -> String {
             number(worst, 3),
             number(m.residual_rms_mm, 3),
         );
+        if let Some(health) = &m.calibration_health {
+            let _ = writeln!(out, "{:widest$}  {}", "", health.detail);
+        }
     }
     out
 }
