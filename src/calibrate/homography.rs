@@ -2,7 +2,7 @@
 //! Start: the direct linear transform on normalised points, Hartley, PAMI 19 (1997) 580; then Gauss–Newton on the
 //! distances in the target plane. Not here: lenses, outliers.
 
-use nalgebra::{DMatrix, Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// A homography; points that it sends to infinity have no image.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -274,8 +274,9 @@ fn cubic(image: &Image<f32>, p: &Pixel) -> Option<f64> {
     Some(down.iter().enumerate().map(|(j, w)| w * row(j)).sum())
 }
 
+/// The normal distribution function and its density at `u`, to 1.5e-7.
 /// Abramowitz, Stegun, "Handbook of Mathematical Functions", 1964, 7.1.26.
-fn step(u: f64) -> (f64, f64) {
+pub(crate) fn step(u: f64) -> (f64, f64) {
     let (z, gauss) = (u.abs() / SQRT_2, (-0.5 * u * u).exp());
     let t = 1.0 / (1.0 + 0.327_591_1 * z);
     let series = [1.061_405_429, -1.453_152_027, 1.421_413_741, -0.284_496_736, 0.254_829_592];

@@ -10,6 +10,7 @@ mod outline;
 mod search;
 
 pub use arch::{ArchTop, NoArchTop, arch_top};
+pub(crate) use edges::step;
 pub use edges::{EdgeFilter, Edgel, cross_level, find_edges};
 pub use ellipse::{Ellipse, EllipseFit, EllipseLimits, NoEllipse, fit_ellipse};
 pub use link::{Chain, join, link};
