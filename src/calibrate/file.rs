@@ -1,5 +1,6 @@
 //! calibration.toml: read, checked, written, and fitted to captures of another binning.
 
+use super::{Board, Solution};
 use crate::document::{self, Check, Error};
 use crate::geometry::{Pose, frame, rotation_from_rows};
 use crate::image::MAX_SIDE;
@@ -108,6 +109,45 @@ pub struct Serials {
     pub projector: Option<String>,
 }
 
+/// The calibration of a camera alone, as `datum calibrate camera` writes it: a calibration file without the projector. No
+/// capture can be measured with it.
+#[derive(Debug, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraFile {
+    format: u32,
+    camera: LensTable,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    quality: Option<Quality>,
+}
+
+impl CameraFile {
+    /// Of a solved calibration.
+    pub fn new(solution: &Solution, board: Option<&Board>) -> Self {
+        let rms_px = Some(Rms { camera: Some(solution.rms_px[0]), ..Rms::default() });
+        let views = Some(solution.views.iter().filter(|v| v.used).count() as u32);
+        let board = board.map(ToString::to_string);
+        let quality = Some(Quality { board, views, rms_px, ..Quality::default() });
+        Self { format: document::FORMAT, camera: lens_table(&solution.devices[0].lens), quality }
+    }
+
+    /// Reads and checks the file.
+    pub fn read(file: &Path) -> Result<Self, Error> {
+        let camera: Self = document::read(file)?;
+        lens(Check(file), "camera", &camera.camera)?;
+        Ok(camera)
+    }
+
+    /// Writes `file`, whole or not at all.
+    pub fn write(&self, file: &Path) -> Result<(), Error> {
+        document::write(file, self)
+    }
+
+    /// The reprojection error it was made with, px.
+    pub fn rms_px(&self) -> Option<f64> {
+        self.quality.as_ref()?.rms_px.as_ref()?.camera
+    }
+}
+
 /// The file as it is spelled.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
@@ -126,7 +166,7 @@ struct Document {
     quality: Option<Quality>,
 }
 
-#[derive(Deserialize, Serialize)]
+#[derive(Debug, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct LensTable {
     width: usize,
@@ -193,15 +233,6 @@ impl Calibration {
 
     /// Writes the calibration to `file`, whole or not at all.
     pub fn write(&self, file: &Path) -> Result<(), Error> {
-        let lens = |l: &Lens| LensTable {
-            width: l.width,
-            height: l.height,
-            fx: l.fx,
-            fy: l.fy,
-            cx: l.cx,
-            cy: l.cy,
-            distortion: l.distortion,
-        };
         let covariance = self.covariance.as_ref().map(|c| CovarianceTable {
             parameters: PARAMETERS.map(String::from).to_vec(),
             values: c.row_iter().map(|r| r.iter().copied().collect()).collect(),
@@ -209,8 +240,8 @@ impl Calibration {
         let d = Document {
             format: document::FORMAT,
             id: self.id.clone(),
-            camera: lens(&self.rig.camera),
-            projector: lens(&self.rig.projector),
+            camera: lens_table(&self.rig.camera),
+            projector: lens_table(&self.rig.projector),
             projector_from_camera: table(&self.rig.projector_from_camera),
             station_from_camera: self.station_from_camera.as_ref().map(table),
             covariance,
@@ -275,6 +306,10 @@ fn lens(check: Check, key: &str, t: &LensTable) -> Result<Lens, Error> {
     check.finite(format!("{key}.cy"), &[t.cy])?;
     check.finite(format!("{key}.distortion"), &t.distortion)?;
     Ok(Lens { width: t.width, height: t.height, fx: t.fx, fy: t.fy, cx: t.cx, cy: t.cy, distortion: t.distortion })
+}
+
+fn lens_table(l: &Lens) -> LensTable {
+    LensTable { width: l.width, height: l.height, fx: l.fx, fy: l.fy, cx: l.cx, cy: l.cy, distortion: l.distortion }
 }
 
 fn pose<A, B>(check: Check, key: &str, t: &PoseTable) -> Result<Pose<A, B>, Error> {

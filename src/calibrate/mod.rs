@@ -1,18 +1,42 @@
-//! The calibration of camera and projector. In: its file. Out: the rig, with the covariance of its parameters.
-//! Not here: what is measured with it.
+//! Calibration and its upkeep. In: pictures and captures of a board. Out: camera and projector, how they stand to each other
+//! and to the station, with the covariance of it all; whether that still holds. Not here: what is measured with it.
+//!
+//! picture → [`target::find`] → points seen by the camera → [`Lit`] → the same points in the projector → [`solve`] →
+//! [`Calibration`] → [`keep`]. Afterwards: [`verify`] on a board, [`Health`] on every vehicle, [`survey`] for the station.
 
+mod adjust;
 mod board;
 mod file;
+mod guidance;
 mod health;
 mod homography;
+mod keep;
+mod phase;
+mod points;
 mod propagate;
+mod scale;
+mod solve;
+mod start;
+mod survey;
 pub mod target;
+mod triangulated;
+mod verify;
 
+pub use adjust::{Device, Seen};
 pub use board::{Board, BoardKind, NotABoard};
-pub use file::{Calibration, PARAMETERS, ParameterCovariance, Quality, Rms, Serials};
+pub use file::{Calibration, CameraFile, PARAMETERS, ParameterCovariance, Quality, Rms, Serials};
+pub use guidance::Coverage;
 pub use health::{Health, Known, MAX_EPIPOLAR_PX, MAX_INDEX, Turn};
 pub use homography::Homography;
+pub use keep::{NotKept, keep, keep_camera};
+pub use phase::{Lit, NotLit, decode, mean};
+pub use points::read_points;
 pub use propagate::{PointJacobian, Sensitivity, independent_errors};
+pub use scale::scale_sigma;
+pub use solve::{MIN_VIEWS, Solution, Terms, Unsolved, View, ViewReport, solve};
+pub use survey::{Centre, Circle, Survey, centre, read_circles, survey};
+pub use triangulated::BoardFit;
+pub use verify::{Verification, VerifyLimits, verify};
 
 #[cfg(test)]
 mod testing {
@@ -49,3 +73,14 @@ mod testing {
         })
     }
 }
+pub use file::{Calibration, CameraFile, PARAMETERS, ParameterCovariance, Quality, Rms, Serials};
+pub use guidance::{Coverage, coverage, tilts_deg};
+pub use homography::Homography;
+pub use keep::{NotKept, keep, keep_camera};
+pub use phase::{Lit, NotLit, decode, mean};
+pub use points::read_points;
+pub use scale::scale_sigma;
+pub use solve::{MIN_VIEWS, Solution, Terms, Unsolved, View, ViewReport, solve};
+pub use survey::{Centre, Circle, Survey, centre, read_circles, survey};
+pub use triangulated::BoardFit;
+pub use verify::{Verification, VerifyLimits, verify};

@@ -2,6 +2,10 @@
 //! In:  the folder. Out: its checked description, and the images one at a time when asked for.
 //! Not here: decoding; what devices do to make a capture.
 
+mod fringes;
+
+pub use fringes::{Fringes, TYPICAL_GAIN, coordinates};
+
 use crate::document::{self, Check};
 use crate::fringe::Axis;
 use crate::image::{Image, MAX_SIDE, PngError, PngHeader, read_png, read_png_header};

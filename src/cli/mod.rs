@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand. In: arguments. Out: text on standard output, errors and progress
 //! on standard error, an exit status.
 
+mod calibrate;
 mod measure;
 mod overlay;
 mod patterns;
@@ -26,6 +27,8 @@ enum Command {
     Teach(teach::Arguments),
     /// Releases a vehicle model for production
     Release(release::Arguments),
+    /// Calibrates camera and projector from a board, verifies, surveys the station
+    Calibrate(calibrate::Arguments),
     /// Writes the fringe patterns as PNGs
     Patterns(patterns::Arguments),
 }
@@ -50,6 +53,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
         Command::Measure(a) => measure::run(&a),
         Command::Teach(a) => teach::run(&a),
         Command::Release(a) => release::run(&a),
+        Command::Calibrate(a) => calibrate::run(&a),
         Command::Patterns(a) => patterns::run(&a),
     }
 }

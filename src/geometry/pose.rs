@@ -15,6 +15,9 @@ pub mod frame {
     /// ISO 8855: x forward, y left, z up; the vehicle model names its origin.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Vehicle;
+    /// A calibration board: x along a row of its points, y from row to row, z away from whoever looks at its face.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct Board;
     /// The calibration cell; until a datum survey exists, the vehicle frame of the taught capture.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub struct Station;

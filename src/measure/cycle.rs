@@ -3,14 +3,14 @@
 //! where stages end. No state from one vehicle to the next.
 
 use super::body::{self, Patch, Shape, Site};
-use super::depth::{BodyDepth, Fringes, TYPICAL_GAIN, red_noise};
+use super::depth::{BodyDepth, Decoded, red_noise};
 use super::edges;
 use super::judge::{self, Evidence, Judged, Refused};
 use super::light::{Light, saturated_share};
 use super::locate::{Located, locate};
 use super::regions::{self, Region};
 use super::{Drawing, Measurement, Measurer};
-use crate::capture::Capture;
+use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
 use crate::fringe::{self, Axis, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
 use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
@@ -87,7 +87,7 @@ impl<'a> Cycle<'a> {
             .map(|t| first_pose.map_or(0.0, |pose| saturated_share(red, white, camera, &t.local(&pose).origin.xyz)))
             .collect();
         let light = Light::new(&as_f32, capture.camera.black_level);
-        let fringes = Fringes::new(capture, bounding(&windows).unwrap_or(Window::whole(1, 1)));
+        let fringes = Fringes::new(capture, bounding(&windows).unwrap_or(Window::whole(1, 1)), None);
         Self { measurer, capture, red: as_f32, red_saturated, regions, first_pose, light, fringes, moved: false }
     }
 
@@ -181,8 +181,8 @@ impl Run<'_, '_> {
         self.located = c.regions.iter().map(|r| Err(r.err().unwrap_or(Code::TooFewFeatures))).collect();
         let found = c.regions.iter().filter(|r| r.is_ok()).count();
         let Some(first) = c.first_pose.filter(|_| found >= 2) else { return Err(self.too_few()) };
-        let (mut coordinates, noise) =
-            c.fringes.coordinates(c.capture).map_err(|e| Self::refuse(Code::PhaseAmbiguity, e.to_string()))?;
+        let Decoded { mut coordinates, across, noise } =
+            Decoded::new(&c.fringes, c.capture).map_err(|e| Self::refuse(Code::PhaseAmbiguity, e.to_string()))?;
         let rays = Rays::new(&rig.camera, c.fringes.window);
         ended(Stage::Decode);
 
@@ -198,8 +198,8 @@ impl Run<'_, '_> {
             return Err(Self::refuse(code, "Too little of the body has depth to find its surface."));
         };
         self.axis = coordinates.axis;
-        if let Some(across) = c.fringes.across(c.capture, self.axis, &noise) {
-            self.cells = epipolar_cells(rig, &body.map, &across);
+        if let Some(across) = &across {
+            self.cells = epipolar_cells(rig, &body.map, across);
         }
         let refused = self.contradictory(&coordinates, &far).or_else(|| self.epipolar(&far));
         if let Some(refused) = refused {

@@ -4,14 +4,14 @@
 
 use super::body::{self, Patch, Shape, Site};
 use super::cycle::EROSION_MM;
-use super::depth::{BodyDepth, Fringes, red_noise};
+use super::depth::{BodyDepth, Decoded, red_noise};
 use super::edges::{self, EdgeRay};
 use super::locate::{ARCH_WINDOW_MM, PanelEdge, on_panel};
 use super::panel::panel_mask;
 use super::regions::{search_factor, search_field};
 use super::{Measurement, Measurer, TYPICAL_DISTANCE_MM, measure};
 use crate::calibrate::Calibration;
-use crate::capture::{self, Capture};
+use crate::capture::{self, Capture, Fringes};
 use crate::code::Code;
 use crate::contour::{Chain, EllipseLimits, arch_top, fit_ellipse, join, link};
 use crate::document::Check;
@@ -115,13 +115,13 @@ pub fn teach(
         height: red.height,
         pixels: red.pixels.iter().map(|v| f32::from(*v)).collect::<Vec<_>>(),
     };
-    let mut fringes = Fringes::new(capture, Window::whole(red.width, red.height));
+    let mut fringes = Fringes::new(capture, Window::whole(red.width, red.height), None);
     for (k, set) in capture.fringes.iter().enumerate() {
         for (step, path) in (0u32..).zip(&set.images) {
             fringes.add(k, step, &capture.load(path)?)?;
         }
     }
-    let (mut coordinates, noise) = fringes.coordinates(capture)?;
+    let Decoded { mut coordinates, noise, .. } = Decoded::new(&fringes, capture)?;
     let rays = Rays::new(camera, fringes.window);
     let clicks = features.clicks()?;
     let (plain, level) = edges::without_glints(&raw);

@@ -68,6 +68,15 @@ pub(super) fn find(image: &Image<f32>, board: &Board) -> Result<Sighting, NotFou
     Err(seen.not_found(board))
 }
 
+/// The edge (raw px) of the smallest dark disc in `image` about pixel `near`.
+pub(super) fn about(image: &Image<f32>, near: &Pixel) -> Option<Vec<Pixel>> {
+    let grey = Grey::of(image)?;
+    let mut all = discs(image, Window::whole(image.width, image.height), &grey);
+    all.retain(|d| d.ellipse.shape.try_inverse().is_some_and(|s| (s * (near - d.ellipse.centre)).norm() <= 1.0));
+    let area = |d: &Disc| d.ellipse.shape.determinant();
+    all.into_iter().min_by(|a, b| area(a).total_cmp(&area(b))).map(|d| d.edge)
+}
+
 /// The same ellipse one level up.
 fn twice(e: &Ellipse) -> Ellipse {
     Ellipse { centre: doubled(&e.centre), shape: 2.0 * e.shape }

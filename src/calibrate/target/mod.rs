@@ -53,6 +53,11 @@ pub fn find(image: &Image<f32>, board: &Board) -> Result<Sighting, NotFound> {
     }
 }
 
+/// The edge, raw px, of the dark disc on bright ground about pixel `near`; `None` where there is none, or not all of it.
+pub fn disc_about(image: &Image<f32>, near: &Pixel) -> Option<Vec<Pixel>> {
+    circles::about(image, near)
+}
+
 impl Sighting {
     /// The same with a known lens: a disc's centre is the raw pixel of the true centre, whatever the lens does to the
     /// shape of its image. Chessboard corners stay as they are.

@@ -1,0 +1,191 @@
+//! Which projector pixel lights a point of a board. In: a capture of the board, where the camera sees its points. Out: the
+//! same points in the projector's picture. Not here: lenses.
+//!
+//! A board is flat, so camera pixels map to projector pixels by one homography, bent a little by both lenses: it is fitted
+//! to the whole board, and what is left of it, affine, robustly about each point; over a window of a square's size ripple
+//! of the fringes and the print's edges average out. After Moreno, Taubin, "Simple, accurate, and robust
+//! projector-camera calibration", 3DIMPVT 2012.
+
+use super::adjust::Seen;
+use super::{Board, Homography};
+use crate::capture::{self, Capture, Fringes, coordinates};
+use crate::fringe::{self, Axis, CoordinateMap, Limits, State};
+use crate::geometry::robust;
+use crate::image::{Image, Window};
+use crate::optics::Pixel;
+use nalgebra::{Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
+
+/// On a smooth board a wrong order stands out against its neighbours; what sets disagree by gamma does not matter.
+const LIMITS: Limits = Limits { order_residual: 0.45, ..Limits::DEFAULT };
+/// Radius of the window about a point, in distances to its neighbours.
+const RADIUS: f64 = 0.8;
+/// Pixels of a window that are fitted; neighbours share their noise anyway.
+const SAMPLES: usize = 1200;
+/// Fewer determine no affine map worth having.
+const MIN_SAMPLES: usize = 40;
+
+/// The projector's picture as the camera sees it on a board.
+#[derive(Clone, Debug)]
+pub struct Lit {
+    columns: CoordinateMap,
+    rows: Option<CoordinateMap>,
+}
+
+/// Why a capture cannot be decoded.
+#[derive(Debug, thiserror::Error)]
+pub enum NotLit {
+    /// An image.
+    #[error(transparent)]
+    Capture(#[from] capture::Error),
+    /// The fringes.
+    #[error("{}: {source}", file.display())]
+    Fringes {
+        /// The capture's description.
+        file: std::path::PathBuf,
+        /// What is wrong with them.
+        source: fringe::Error,
+    },
+}
+
+/// The mean of all fringe images of `capture`: what it shows, under even light.
+pub fn mean(capture: &Capture) -> Result<Image<f32>, NotLit> {
+    let mut mean = Image::filled(capture.camera.width, capture.camera.height, 0f32);
+    let share = 1.0 / capture.fringes.iter().map(|s| s.images.len()).sum::<usize>() as f32;
+    for file in capture.fringes.iter().flat_map(|set| &set.images) {
+        let image = capture.load(file)?;
+        mean.pixels.iter_mut().zip(&image.pixels).for_each(|(m, &v)| *m += share * f32::from(v));
+    }
+    Ok(mean)
+}
+
+/// Projector coordinates along `axis` of the pixels in `window` of `capture`.
+pub fn decode(capture: &Capture, window: Window, axis: Axis) -> Result<CoordinateMap, NotLit> {
+    let bad = |source| NotLit::Fringes { file: capture.file(), source };
+    let mut fringes = Fringes::new(capture, window, Some(axis));
+    for (s, set) in capture.fringes.iter().enumerate().filter(|(_, set)| set.axis == axis) {
+        for (step, file) in set.images.iter().enumerate() {
+            fringes.add(s, step as u32, &capture.load(file)?).map_err(bad)?;
+        }
+    }
+    let phases = fringes.phases(&fringes.noise(capture), &LIMITS).map_err(bad)?;
+    coordinates(capture, &phases, axis, &LIMITS).map_err(bad)
+}
+
+impl Lit {
+    /// Reads and decodes the fringes of `capture` about the points `seen` of `board`. Rows are left out where no row set
+    /// has one fringe; columns are needed.
+    pub fn read(capture: &Capture, board: &Board, seen: &[Seen]) -> Result<Self, NotLit> {
+        let margin = radii(board, seen).into_iter().fold(0.0, f64::max).ceil();
+        let bound = |k: usize, pick: fn(f64, f64) -> f64| seen.iter().map(|s| s.1[k]).reduce(pick).unwrap_or(0.0);
+        let window = Window::clipped(
+            bound(0, f64::min) - margin,
+            bound(1, f64::min) - margin,
+            bound(0, f64::max) + margin,
+            bound(1, f64::max) + margin,
+            capture.camera.width,
+            capture.camera.height,
+        )
+        .unwrap_or(Window::whole(1, 1));
+        let rows = match decode(capture, window, Axis::Row) {
+            Ok(map) => Some(map),
+            Err(NotLit::Fringes { source: fringe::Error::NoSet { .. } | fringe::Error::Ambiguous { .. }, .. }) => None,
+            Err(e) => return Err(e),
+        };
+        Ok(Self { columns: decode(capture, window, Axis::Column)?, rows })
+    }
+
+    /// The projector pixels that light the points `seen` by the camera; points without enough valid fringes about them are
+    /// left out. Without row fringes the projector's row is NaN.
+    pub fn projector(&self, board: &Board, seen: &[Seen]) -> Vec<Seen> {
+        let radii = radii(board, seen);
+        let about = |map: &(dyn Fn(&Pixel) -> Vector2<f64> + Sync)| -> Vec<(Seen, Pixel)> {
+            let lit = |(&(k, at), &radius): (&Seen, &f64)| {
+                let column = local(&self.columns, &at, radius, |p| map(p).x)?;
+                let row = match &self.rows {
+                    Some(rows) => local(rows, &at, radius, |p| map(p).y)?,
+                    None => f64::NAN,
+                };
+                Some(((k, Pixel::new(column, row)), at))
+            };
+            seen.par_iter().zip(&radii).filter_map(lit).collect()
+        };
+        let mut found = about(&|_| Vector2::zeros());
+        let flat = |row: f64| if row.is_nan() { 0.0 } else { row };
+        let pairs: Vec<_> = found.iter().map(|((_, lit), at)| (*at, Vector2::new(lit.x, flat(lit.y)))).collect();
+        if let Some(map) = Homography::fit(&pairs) {
+            found = about(&|p| map.apply(p));
+        }
+        found.into_iter().map(|(seen, _)| seen).collect()
+    }
+}
+
+/// The window of each point, px: from the distance to its nearest neighbours in the grid.
+fn radii(board: &Board, seen: &[Seen]) -> Vec<f64> {
+    let columns = board.columns;
+    let of = |&(k, at): &Seen| {
+        let next = |other: &&Seen| {
+            let (dx, dy) = ((k % columns).abs_diff(other.0 % columns), (k / columns).abs_diff(other.0 / columns));
+            dx + dy == 1
+        };
+        let (sum, n) = seen.iter().filter(next).fold((0.0, 0), |(s, n), o| (s + (o.1 - at).norm(), n + 1));
+        if n > 0 { RADIUS * sum / f64::from(n) } else { 0.0 }
+    };
+    seen.iter().map(of).collect()
+}
+
+/// The projector coordinate at `at`: what the pixels within `radius` differ from `expected`, fitted robustly by an affine
+/// map. `None` where too few are valid.
+fn local(map: &CoordinateMap, at: &Pixel, radius: f64, expected: impl Fn(&Pixel) -> f64) -> Option<f64> {
+    let w = map.window;
+    let (x, y) = (at.x - w.x as f64, at.y - w.y as f64);
+    let about = Window::clipped(x - radius, y - radius, x + radius, y + radius, w.width, w.height)?;
+    let stride = ((about.width * about.height) as f64 / SAMPLES as f64).sqrt().ceil().max(1.0) as usize;
+    let mut samples = Vec::new(); // offset over radius, difference, its variance
+    for y in (about.y..about.y + about.height).step_by(stride) {
+        for x in (about.x..about.x + about.width).step_by(stride) {
+            let pixel = Pixel::new((w.x + x) as f64, (w.y + y) as f64);
+            let (off, c) = ((pixel - at) / radius, &map.pixels[y * w.width + x]);
+            if c.state == State::Valid && off.norm() <= 1.0 {
+                samples.push((off.push(1.0), c.value - expected(&pixel), f64::from(c.variance)));
+            }
+        }
+    }
+    affine(&samples).map(|fit| fit.coefficients.z + expected(at))
+}
+
+/// A robust fit of `value = coefficients · place`, place = (x, y, 1).
+pub(super) struct Affine {
+    pub(super) coefficients: Vector3<f64>,
+    /// From the samples' scatter.
+    pub(super) covariance: Matrix3<f64>,
+}
+
+/// Fits samples of place, value and variance. `None` where there are too few, or they do not determine the map.
+pub(super) fn affine(samples: &[(Vector3<f64>, f64, f64)]) -> Option<Affine> {
+    if samples.len() < MIN_SAMPLES {
+        return None;
+    }
+    // from the median: an order that is wrong by a whole fringe must not decide where weights start
+    let middle = robust::median(&mut samples.iter().map(|s| s.1).collect::<Vec<_>>());
+    let mut out = Affine { coefficients: Vector3::new(0.0, 0.0, middle), covariance: Matrix3::zeros() };
+    for _ in 0..12 {
+        let residuals: Vec<f64> =
+            samples.iter().map(|(place, value, v)| (value - place.dot(&out.coefficients)) / v.sqrt()).collect();
+        let sigma = robust::mad_sigma(residuals.iter().copied()).max(1e-9);
+        let (mut left, mut right) = (Matrix3::zeros(), Vector3::zeros());
+        for ((place, value, variance), residual) in samples.iter().zip(&residuals) {
+            let weight = robust::tukey(residual / sigma) / variance;
+            left += weight * place * place.transpose();
+            right += weight * *value * place;
+        }
+        let inverse = left.cholesky()?.inverse();
+        let next = inverse * right;
+        let still = (next - out.coefficients).amax() < 1e-5 * next.amax();
+        out = Affine { coefficients: next, covariance: inverse * sigma.powi(2) };
+        if still {
+            break;
+        }
+    }
+    Some(out)
+}

@@ -1,0 +1,77 @@
+//! What is calibrated from: pictures and captures of a board, with the board found in them.
+
+use crate::calibrate::target::{Sighting, find};
+use crate::calibrate::{Board, Seen, mean};
+use crate::capture::{self, Capture};
+use crate::image::{Image, read_png};
+use anyhow::Context;
+use std::path::{Path, PathBuf};
+
+/// A picture or a capture with the board in it.
+pub(super) struct Shot {
+    pub(super) name: String,
+    pub(super) file: PathBuf,
+    pub(super) size: (usize, usize),
+    pub(super) sighting: Sighting,
+    /// If it is one.
+    pub(super) capture: Option<Capture>,
+}
+
+/// The shots that show the board. What shows none is told on standard error and left out; errors where a file cannot be
+/// read, or is of another size than the first.
+pub(super) fn read_shots(paths: &[PathBuf], board: &Board) -> anyhow::Result<Vec<Shot>> {
+    let mut shots: Vec<Shot> = Vec::new();
+    let mut first: Option<(PathBuf, (usize, usize))> = None;
+    for (n, path) in paths.iter().enumerate() {
+        let (image, capture) = read(path)?;
+        let size = (image.width, image.height);
+        let (one, of_first) = first.get_or_insert((path.clone(), size));
+        anyhow::ensure!(
+            size == *of_first,
+            "{}: {}×{} px, allowed: {}×{} as {}: a calibration is of one sensor in one mode",
+            path.display(),
+            size.0,
+            size.1,
+            of_first.0,
+            of_first.1,
+            one.display()
+        );
+        let name = capture::name_of(path);
+        match find(&image, board) {
+            Ok(sighting) => {
+                eprintln!("{}/{} {name}: {} of {} points", n + 1, paths.len(), count(&sighting), sighting.marks.len());
+                shots.push(Shot { name, file: path.clone(), size, sighting, capture });
+            }
+            Err(e) => eprintln!("{}/{} {name}: left out: {e}", n + 1, paths.len()),
+        }
+    }
+    Ok(shots)
+}
+
+/// One shot, which must show the board.
+pub(super) fn read_shot(path: &Path, board: &Board) -> anyhow::Result<Shot> {
+    let (image, capture) = read(path)?;
+    let sighting = find(&image, board).with_context(|| path.display().to_string())?;
+    let size = (image.width, image.height);
+    Ok(Shot { name: capture::name_of(path), file: path.into(), size, sighting, capture })
+}
+
+/// The picture at `path`, or the mean of the fringe images of the capture there.
+fn read(path: &Path) -> anyhow::Result<(Image<f32>, Option<Capture>)> {
+    if path.is_dir() {
+        let capture = Capture::open(path)?;
+        return Ok((mean(&capture)?, Some(capture)));
+    }
+    let image = read_png(path).with_context(|| path.display().to_string())?;
+    let pixels = image.pixels.iter().map(|&v| f32::from(v)).collect();
+    Ok((Image { width: image.width, height: image.height, pixels }, None))
+}
+
+fn count(sighting: &Sighting) -> usize {
+    sighting.marks.iter().flatten().count()
+}
+
+/// What the camera sees of the board.
+pub(super) fn seen(sighting: &Sighting) -> Vec<Seen> {
+    sighting.marks.iter().enumerate().filter_map(|(k, m)| Some((k, m.as_ref()?.at))).collect()
+}
