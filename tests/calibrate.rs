@@ -1,171 +1,198 @@
-//! Calibration on real and rendered boards against published results and the truth. The data are not ours to
-//! distribute: the tests run where the variable DATUM_DATA names their folder.
+//! Calibration on real and on independently rendered boards, against published results, OpenCV 5's and the truth. The data
+//! are not ours to distribute: the tests run where the variable DATUM_DATA names a folder that holds them.
 
-use datum::Pixel;
-use datum::calibrate::{Solution, Terms, View, read_points, solve};
-use nalgebra::Vector2;
+mod common;
+
+use common::data;
+use datum::calibrate::target::{Sighting, find};
+use datum::calibrate::{Board, Lit, Seen, Solution, Terms, VerifyLimits, View, mean, read_points, solve, verify};
+use datum::image::read_png;
+use datum::{Calibration, Capture, Image};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-fn data(name: &str) -> Option<PathBuf> {
-    let folder = std::env::var_os("DATUM_DATA").map(|d| Path::new(&d).join(name));
-    if folder.is_none() {
-        eprintln!("skipped: DATUM_DATA not set");
-    }
-    folder
-}
-
-fn reference(folder: &Path) -> Value {
-    let text = std::fs::read_to_string(folder.join("reference.json")).expect("reference.json is there");
-    serde_json::from_str(&text).expect("JSON")
+fn board(text: &str) -> Board {
+    text.parse().expect("a board")
 }
 
 fn number(v: &Value) -> f64 {
     v.as_f64().expect("a number")
 }
 
-fn pixels(v: &Value) -> Vec<Pixel> {
-    v.as_array().expect("a list").iter().map(|p| Pixel::new(number(&p[0]), number(&p[1]))).collect()
+/// What the folder holds, by name.
+fn entries(folder: &Path, wanted: fn(&Path) -> bool) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).expect("it is there").map(|e| e.expect("readable").path());
+    let mut found: Vec<PathBuf> = entries.filter(|p| wanted(p)).collect();
+    found.sort();
+    found
 }
 
-fn seen(pixels: Vec<Pixel>) -> Vec<(usize, Pixel)> {
-    pixels.into_iter().enumerate().collect()
+fn name(path: &Path) -> String {
+    path.file_stem().expect("a name").to_string_lossy().into_owned()
+}
+
+fn seen(sighting: &Sighting) -> Vec<Seen> {
+    sighting.marks.iter().enumerate().filter_map(|(k, m)| Some((k, m.as_ref()?.at))).collect()
+}
+
+/// Camera and projector calibrated from the captures in `folder`.
+fn calibrated(folder: &Path, board: &Board) -> Solution {
+    let mut sizes = [None; 2];
+    let view = |folder: &PathBuf| {
+        let capture = Capture::open(folder).expect("a capture");
+        let camera = seen(&find(&mean(&capture).expect("readable"), board).expect("the board is in view"));
+        let lit = Lit::read(&capture, board, &camera).expect("fringes").projector(board, &camera);
+        sizes = [
+            Some((capture.camera.width, capture.camera.height)),
+            Some((capture.projector.width, capture.projector.height)),
+        ];
+        View { name: name(folder), seen: [camera, lit] }
+    };
+    let views: Vec<View> = entries(folder, Path::is_dir).iter().map(view).collect();
+    solve(&board.points(), &views, sizes, Terms::Chosen).expect("tilted views")
 }
 
 fn show(s: &Solution) {
-    for (k, d) in s.devices.iter().enumerate() {
-        let l = &d.lens;
-        let sigma = |i: usize| s.covariance[(10 * k + i, 10 * k + i)].sqrt();
+    let v = s.parameter_covariance();
+    for (k, device) in s.devices.iter().enumerate() {
+        let (l, sigma) = (&device.lens, |i: usize| v[(9 * k + i, 9 * k + i)].sqrt());
         eprintln!(
-            "  device {k}: f {:.3} {:.3} c {:.3} {:.3} ± {:.3} {:.3} {:.3} {:.3}; k {:.5?}; skew {:.5}",
+            "  f {:.3} ± {:.3}, {:.3} ± {:.3}, c {:.3} ± {:.3}, {:.3} ± {:.3}, k1 k2 p1 p2 k3 {:.5?}",
             l.fx,
-            l.fy,
-            l.cx,
-            l.cy,
             sigma(0),
+            l.fy,
             sigma(1),
+            l.cx,
             sigma(2),
+            l.cy,
             sigma(3),
-            l.distortion,
-            d.skew
+            l.distortion
         );
     }
-    eprintln!(
-        "  rms {:.5?}, leave one out {:?}, baseline {:.3}",
-        s.rms_px,
-        s.leave_one_out_rms_px,
-        s.projector_from_camera.t.norm()
-    );
-    for v in &s.views {
-        eprintln!(
-            "    {} used {} rejected {} rms {:.4?} held out {:?}",
-            v.name,
-            v.used,
-            v.rejected,
-            v.rms_px,
-            v.held_out.map(|h| (h.rms_mm, h.scale))
-        );
+    eprintln!("  rms {:.4?} px, left-out views {:.4?} px", s.rms_px, s.leave_one_out_rms_px);
+    for view in &s.views {
+        let held =
+            view.held_out.map(|h| format!("left out: {:.4} mm, scale {:+.4} %", h.rms_mm, 100.0 * (h.scale - 1.0)));
+        eprintln!("  {}: rms {:.4?} px {}", view.name, view.rms_px, held.unwrap_or_default());
     }
 }
 
 #[test]
 fn zhangs_points_give_his_published_parameters() {
     let Some(folder) = data("zhang1998") else { return };
-    let model = read_points(&folder.join("Model.txt")).expect("points");
-    let view = |k: usize| View {
-        name: format!("data{k}"),
-        seen: [seen(read_points(&folder.join(format!("data{k}.txt"))).expect("points")), Vec::new()],
+    let reference: Value =
+        serde_json::from_str(&std::fs::read_to_string(folder.join("reference.json")).expect("there")).expect("JSON");
+    let points = |name: &str| read_points(&folder.join(name)).expect("points");
+    let view = |k: u32| {
+        let pixels = points(&format!("data{k}.txt"));
+        View { name: k.to_string(), seen: [pixels.into_iter().enumerate().collect(), Vec::new()] }
     };
     let views: Vec<View> = (1..=5).map(view).collect();
-    let got = solve(&model, &views, [Some((640, 480)), None], Terms::Zhang).expect("five tilted views");
-    show(&got);
+    let s = solve(&points("Model.txt"), &views, [Some((640, 480)), None], Terms::Zhang).expect("five tilted views");
+    show(&s);
+    let (l, published) = (&s.devices[0].lens, &reference["published_zhang"]);
+    // half of the last digit that is published
+    for (name, got, half_digit) in [
+        ("alpha", l.fx, 0.05),
+        ("gamma", s.devices[0].skew, 5e-5),
+        ("beta", l.fy, 0.005),
+        ("u0", l.cx, 5e-4),
+        ("v0", l.cy, 5e-4),
+        ("k1", l.distortion[0], 5e-6),
+        ("k2", l.distortion[1], 5e-6),
+    ] {
+        let want = number(&published[name]);
+        eprintln!("  {name}: {got:.6} (published {want})");
+        assert!((got - want).abs() <= half_digit, "{name}: {got} for {want}");
+    }
+    assert!((s.rms_px[0] - 0.33643).abs() < 5e-6, "{:?}", s.rms_px);
 }
 
 #[test]
-fn opencvs_corners() {
+fn opencvs_photographs_calibrate_as_well_as_with_opencv() {
     let Some(folder) = data("chessboard-left") else { return };
-    let reference = reference(&folder);
-    let board: Vec<_> = (0..54).map(|i| Vector2::new(f64::from(i % 9), f64::from(i / 9))).collect();
-    let view = |(name, v): (&String, &Value)| View { name: name.clone(), seen: [seen(pixels(v)), Vec::new()] };
-    let views: Vec<View> = reference["corners"].as_object().expect("a table").iter().map(view).collect();
-    let got = solve(&board, &views, [Some((640, 480)), None], Terms::Chosen).expect("13 views");
-    show(&got);
-}
-
-#[test]
-fn slstudio_corners() {
-    let Some(folder) = data("slstudio") else { return };
-    let reference = reference(&folder);
-    let board: Vec<_> = (0..117).map(|i| Vector2::new(f64::from(i % 13), f64::from(i / 13)) * 10.0).collect();
-    let view = |id: &u32| {
-        let v = &reference["corners"][id.to_string()];
-        View { name: format!("board-{id}"), seen: [seen(pixels(&v["cam"])), seen(pixels(&v["proj"]))] }
+    let board = board("chessboard:9x6:1");
+    let view = |file: &PathBuf| {
+        let grey = read_png(file).expect("a grey PNG");
+        let pixels = grey.pixels.iter().map(|&v| f32::from(v)).collect();
+        let image = Image { width: grey.width, height: grey.height, pixels };
+        View { name: name(file), seen: [seen(&find(&image, &board).expect("the board is in view")), Vec::new()] }
     };
-    let views: Vec<View> = [1, 3, 4, 5, 6].iter().map(view).collect();
-    let got = solve(&board, &views, [Some((1688, 1352)), Some((1824, 1140))], Terms::Chosen).expect("5 views");
-    show(&got);
+    let pictures = entries(&folder, |p| p.extension().is_some_and(|e| e == "png"));
+    let views: Vec<View> = pictures.iter().map(view).collect();
+    let s = solve(&board.points(), &views, [Some((640, 480)), None], Terms::Chosen).expect("13 views");
+    show(&s);
+    // OpenCV 5, best window of its corner finder: 0.1832 px, 533.00, 0.1873 px
+    assert!(s.rms_px[0] <= 0.20, "{:?}", s.rms_px);
+    assert!((s.devices[0].lens.fx - 533.0).abs() <= 0.8, "{:?}", s.devices[0]);
+    assert!(s.leave_one_out_rms_px.expect("13 views") <= 0.20);
 }
 
 #[test]
-fn chess_truth_corners() {
-    let Some(folder) = data("station-boards/chess") else { return };
-    let truth = datum::Calibration::read(&folder.join("calibration-truth.toml")).expect("truth");
-    let board: datum::calibrate::Board = "chessboard:11x8:35".parse().expect("legal");
-    let points = board.points();
-    let mut views = Vec::new();
-    let mut sq = (0.0, 0.0, Vector2::zeros());
-    for k in 0..10 {
-        let folder = folder.join(format!("board_chess_cal_{k:02}"));
-        let text = std::fs::read_to_string(folder.join("truth.json")).expect("truth.json");
-        let t: Value = serde_json::from_str(&text).expect("JSON");
-        let m = |i: usize, j: usize| number(&t["camera_from_object"][i][j]);
-        let r = nalgebra::Matrix3::from_fn(m);
-        let tr = nalgebra::Vector3::from_fn(|i, _| m(i, 3));
-        let in_camera: Vec<_> = points.iter().map(|p| r * p.push(0.0) + tr).collect();
-        let cam: Vec<_> = in_camera.iter().map(|p| truth.rig.camera.project(p).expect("front")).enumerate().collect();
-        let capture = datum::Capture::open(&folder).expect("capture");
-        let lit = datum::calibrate::Lit::read(&capture, &board, &cam).expect("lit");
-        let proj = lit.projector(&board, &cam);
-        for &(i, at) in &proj {
-            let p = truth.rig.projector_from_camera * datum::Point3::new(in_camera[i]);
-            let e = at - truth.rig.projector.project(&p.xyz).expect("front");
-            sq = (sq.0 + e.norm_squared(), sq.1 + 1.0, sq.2 + e);
-        }
-        views.push(View { name: format!("{k}"), seen: [cam, proj] });
-    }
-    eprintln!("projector px rms {:.4} mean {:?} n {}", (sq.0 / sq.1 as f64).sqrt(), sq.2 / sq.1, sq.1);
-    let mut noise = 1u64;
-    for v in &mut views {
-        for s in &mut v.seen[0] {
-            for c in 0..2 {
-                let mut g = 0.0;
-                for _ in 0..12 {
-                    noise = noise.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-                    g += (noise >> 11) as f64 / (1u64 << 53) as f64;
-                }
-                s.1[c] += 0.02 * (g - 6.0);
-            }
-        }
-    }
-    let got = solve(&points, &views, [Some((648, 486)), Some((1280, 800))], Terms::Chosen).expect("10 views");
-    show(&got);
-}
-
-#[test]
-fn slstudio_own_phase() {
+fn a_real_rig_triangulates_boards_that_it_was_not_calibrated_with() {
     let Some(folder) = data("slstudio") else { return };
-    let reference = reference(&folder);
-    let board: datum::calibrate::Board = "chessboard:13x9:10".parse().expect("legal");
-    let points = board.points();
-    let view = |id: &u32| {
-        let v = &reference["corners"][id.to_string()];
-        let cam = seen(pixels(&v["cam"]));
-        let capture = datum::Capture::open(&folder.join(format!("board-{id}"))).expect("capture");
-        let lit = datum::calibrate::Lit::read(&capture, &board, &cam).expect("lit");
-        let proj = lit.projector(&board, &cam);
-        View { name: format!("board-{id}"), seen: [cam, proj] }
-    };
-    let views: Vec<View> = [1, 3, 4, 5, 6].iter().map(view).collect();
-    let got = solve(&points, &views, [Some((1688, 1352)), Some((1824, 1140))], Terms::Chosen).expect("5 views");
-    show(&got);
+    let s = calibrated(&folder, &board("chessboard:13x9:10"));
+    show(&s);
+    let held: Vec<_> = s.views.iter().filter_map(|v| v.held_out).collect();
+    let n = held.len() as f64;
+    let rms = held.iter().map(|h| h.rms_mm).sum::<f64>() / n;
+    let scale = 100.0 * (held.iter().map(|h| h.scale).sum::<f64>() / n - 1.0);
+    let worst = held.iter().map(|h| 100.0 * (h.scale - 1.0).abs()).fold(0.0, f64::max);
+    eprintln!("  mean rms {rms:.4} mm (OpenCV 0.100), mean scale {scale:+.4} %, worst {worst:.4} %");
+    assert_eq!(held.len(), 5);
+    assert!(rms <= 0.105 && scale.abs() <= 0.1, "{rms} mm, {scale} %");
+    // One board, without which tilt is scarce, is off by 0.125 %: what the rig's own sigma of scale, 0.12 %, expects.
+    assert!(worst <= 0.2, "{worst} %");
+}
+
+#[test]
+fn rendered_boards_give_the_rig_that_rendered_them() {
+    let Some(folder) = data("station-boards") else { return };
+    let truth = Calibration::read(&folder.join("chess/calibration-truth.toml")).expect("a calibration").rig;
+    let s = calibrated(&folder.join("chess"), &board("chessboard:11x8:35"));
+    show(&s);
+    let (rig, v) = (s.rig().expect("both devices"), s.parameter_covariance());
+    for (k, got, want) in [
+        (0, rig.camera.fx, truth.camera.fx),
+        (1, rig.camera.fy, truth.camera.fy),
+        (9, rig.projector.fx, truth.projector.fx),
+        (10, rig.projector.fy, truth.projector.fy),
+    ] {
+        let (percent, sigmas) = (100.0 * (got / want - 1.0), (got - want) / v[(k, k)].sqrt());
+        eprintln!("  f {got:.3} (true {want}): {percent:+.4} %, {sigmas:+.2} sigma");
+        assert!(percent.abs() <= 0.10, "{percent} %");
+        assert!(k >= 9 || sigmas.abs() <= 2.5, "{sigmas} sigmas");
+    }
+    let (got, want) = (rig.projector_from_camera, truth.projector_from_camera);
+    let baseline = got.t.norm() - want.t.norm();
+    let turn = (got.r * want.r.inverse()).scaled_axis().map(f64::to_degrees);
+    eprintln!("  baseline {baseline:+.4} mm, angles {:+.5} {:+.5} {:+.5}°", turn.x, turn.y, turn.z);
+    assert!(baseline.abs() <= 0.1 && turn.amax() <= 0.01, "{baseline} mm, {turn}°");
+    for h in s.views.iter().filter_map(|v| v.held_out) {
+        assert!(100.0 * (h.scale - 1.0).abs() <= 0.03, "{h:?}");
+    }
+}
+
+#[test]
+fn the_published_test_of_two_frames_on_a_board() {
+    let Some(folder) = data("station-boards") else { return };
+    let marked = board("marked:8x4:60:30");
+    let own = calibrated(&folder.join("chess"), &board("chessboard:11x8:35")).rig().expect("both devices");
+    let truth = Calibration::read(&folder.join("circles/calibration-truth.toml")).expect("a calibration").rig;
+    // the chessboards were seen at half the circles' resolution
+    let own = datum::Rig { camera: own.camera.binned(0.5), ..own };
+    for capture in entries(&folder.join("circles"), Path::is_dir) {
+        let capture = Capture::open(&capture).expect("a capture");
+        let sighting = find(&mean(&capture).expect("readable"), &marked).expect("the board is in view");
+        for (calibration, rig) in [("true", &truth), ("own", &own)] {
+            let camera = seen(&sighting.through(&marked, &rig.camera));
+            let lit = Lit::read(&capture, &marked, &camera).expect("fringes").projector(&marked, &camera);
+            let got = verify(rig, &marked, &camera, &lit, VerifyLimits::default()).expect("all discs");
+            let frames = got.frames_error_mm.expect("two halves");
+            eprintln!("{}, {calibration} calibration: {frames:.4?} mm; {}", capture.name(), got.detail);
+            // published: 1.40 and 1.21 mm
+            assert!(frames.iter().all(|e| e.abs() <= 0.10), "{frames:?}");
+            assert!(got.scale_error_percent.abs() <= 0.03, "{got:?}");
+        }
+    }
 }

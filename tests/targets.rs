@@ -23,14 +23,9 @@ fn json(file: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(file).expect("it is there")).expect("JSON")
 }
 
-fn read_png(path: &Path) -> Image<f32> {
-    let file = std::io::BufReader::new(std::fs::File::open(path).expect("image is there"));
-    let mut reader = png::Decoder::new(file).read_info().expect("a PNG");
-    let mut bytes = vec![0; reader.output_buffer_size().expect("fits memory")];
-    let info = reader.next_frame(&mut bytes).expect("whole");
-    assert_eq!((info.color_type, info.bit_depth), (png::ColorType::Grayscale, png::BitDepth::Eight));
-    let pixels = bytes[..info.buffer_size()].iter().map(|&b| f32::from(b)).collect();
-    Image { width: info.width as usize, height: info.height as usize, pixels }
+fn grey(path: &Path) -> Image<f32> {
+    let image = datum::image::read_png(path).expect("a grey PNG");
+    Image { width: image.width, height: image.height, pixels: image.pixels.iter().map(|&v| f32::from(v)).collect() }
 }
 
 /// Folders in `folder`, by name.
@@ -44,20 +39,7 @@ fn folders(folder: &Path) -> Vec<PathBuf> {
 
 /// The mean of a capture's fringe images: their fringes cancel.
 fn mean(folder: &Path) -> Image<f32> {
-    let text = std::fs::read_to_string(folder.join("capture.toml")).expect("capture.toml is there");
-    let capture: toml::Table = text.parse().expect("TOML");
-    let sets = capture["fringes"].as_array().expect("sets");
-    let names: Vec<&str> = sets
-        .iter()
-        .flat_map(|s| s["images"].as_array().expect("a list"))
-        .map(|n| n.as_str().expect("a name"))
-        .collect();
-    let mut sum = read_png(&folder.join(names[0]));
-    for name in &names[1..] {
-        sum.pixels.iter_mut().zip(read_png(&folder.join(name)).pixels).for_each(|(s, v)| *s += v);
-    }
-    sum.pixels.iter_mut().for_each(|s| *s /= names.len() as f32);
-    sum
+    datum::calibrate::mean(&datum::Capture::open(folder).expect("a capture")).expect("readable")
 }
 
 /// What was found, less what should have been, in the order of the board.
@@ -133,7 +115,7 @@ fn photographed_chessboards_are_found_where_opencv_finds_them() {
     let corners = reference["corners"].as_object().expect("images");
     assert_eq!(corners.len(), 13);
     for (name, corners) in corners {
-        let found = find(&read_png(&folder.join(name)), &board).unwrap_or_else(|e| panic!("{name}: {e}"));
+        let found = find(&grey(&folder.join(name)), &board).unwrap_or_else(|e| panic!("{name}: {e}"));
         let (missing, rms) = against(name, &found, &pixels(corners));
         // OpenCV calibrates with its own to 0.18 px, with ours to 0.16: most of what lies between is its
         assert!(missing == 0 && rms < 0.15, "{name}: {missing} missing, rms {rms}");

@@ -154,7 +154,7 @@ impl Problem<'_> {
     pub(super) fn covariance(&self, state: &State, presumed: &[f64; SHARED]) -> Option<SMatrix<f64, SHARED, SHARED>> {
         let open: [bool; SHARED] = std::array::from_fn(|k| self.free[k] || presumed[k] > 0.0);
         let opened = Problem { free: open, ..self.clone() };
-        let (mut left, ..) = opened.reduced(&opened.normals(state)?, 0.0)?;
+        let (mut left, ..) = opened.reduced(&opened.normals(state)?, 0.0, None)?;
         for k in (0..SHARED).filter(|&k| open[k] && !self.free[k]) {
             left[(k, k)] += presumed[k].powi(-2);
         }
@@ -162,15 +162,23 @@ impl Problem<'_> {
         Some(Shared::from_fn(|i, j| if open[i] && open[j] { inverse[(i, j)] } else { 0.0 }))
     }
 
-    /// How far, in sigmas squared of this problem, its answer `state` lies from `other`, the answer of the problem `without`
-    /// some of its observations; and how far it would be expected to lie if all residuals were independent.
-    pub(super) fn shift(&self, state: &State, without: &Problem, other: &State) -> Option<(f64, f64)> {
-        let information = self.reduced(&self.normals(state)?, 0.0)?.0;
-        let way = other.less(state);
-        // the difference of two nested least-squares answers has the difference of their covariances
-        let covariance = without.covariance(state, &[0.0; SHARED])?;
+    /// How far the answers `without` one view each (by index) lie from `state`, the answer of [`Self::adjust`], in sigmas
+    /// squared, summed; and how far they would be expected to lie if all residuals were independent.
+    pub(super) fn shifts(&self, state: &State, without: &[(usize, &State)]) -> Option<(f64, f64)> {
+        let normals = self.normals(state)?;
+        let information = self.reduced(&normals, 0.0, None)?.0;
         let free = self.free.iter().filter(|f| **f).count() as f64;
-        Some(((way.transpose() * information * way)[0], (information * covariance).trace() - free))
+        let (mut found, mut expected) = (0.0, 0.0);
+        for (view, other) in without {
+            let way = other.less(state);
+            found += (way.transpose() * information * way)[0];
+            // the difference of two nested least-squares answers has the difference of their covariances
+            let others = self.reduced(&normals, 0.0, Some(*view))?.0.cholesky()?.inverse();
+            expected +=
+                (0..SHARED).filter(|&k| self.free[k]).map(|k| (information.row(k) * others.column(k))[0]).sum::<f64>()
+                    - free;
+        }
+        Some((found, expected))
     }
 
     /// Seen less projected, px, per view and device, in the order given; `None` where a point lies behind a device.
@@ -232,11 +240,20 @@ impl Problem<'_> {
         Some(n)
     }
 
-    /// The normal equations of the free shared parameters, the boards eliminated; identity where fixed.
-    fn reduced(&self, normals: &[Normal], damping: f64) -> Option<(Shared, SVector<f64, SHARED>, Vec<Matrix6<f64>>)> {
+    /// The normal equations of the free shared parameters, the boards eliminated; identity where fixed. A view may be left
+    /// out.
+    fn reduced(
+        &self,
+        normals: &[Normal],
+        damping: f64,
+        left_out: Option<usize>,
+    ) -> Option<(Shared, SVector<f64, SHARED>, Vec<Matrix6<f64>>)> {
         let (mut left, mut right) = (Shared::zeros(), SVector::<f64, SHARED>::zeros());
         let mut inverses = Vec::with_capacity(normals.len());
-        for (n, seen) in normals.iter().zip(self.views) {
+        for (v, (n, seen)) in normals.iter().zip(self.views).enumerate() {
+            if left_out == Some(v) {
+                continue;
+            }
             left += n.shared;
             right += n.right_shared;
             if seen.iter().all(Vec::is_empty) {
@@ -264,7 +281,7 @@ impl Problem<'_> {
     }
 
     fn step(&self, normals: &[Normal], damping: f64) -> Option<(SVector<f64, SHARED>, Vec<Vector6<f64>>)> {
-        let (left, right, inverses) = self.reduced(normals, damping)?;
+        let (left, right, inverses) = self.reduced(normals, damping, None)?;
         let shared = left.cholesky()?.solve(&right);
         let pose = |(n, inverse): (&Normal, Matrix6<f64>)| inverse * (n.right_pose - n.mixed.transpose() * shared);
         let poses = normals.iter().zip(inverses).map(pose).collect();

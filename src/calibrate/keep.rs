@@ -61,13 +61,12 @@ pub fn keep_camera(
         let allowed = "a file of `datum calibrate camera`: one of camera and projector is replaced only with --force";
         Check(file).that(!whole, "[projector]", "a calibrated one", allowed)?;
         let before = CameraFile::read(file)?;
-        if let (Some(was), Some(is)) = (before.rms_px(), camera.rms_px()) {
-            if is > LARGER_RESIDUALS * was {
-                let refused = file.with_extension("refused.toml");
-                camera.write(&refused)?;
-                let reason = format!("it has {was:.3} px rms, the new one {is:.3} px");
-                return Err(NotKept::Worse { file: file.into(), reason, refused });
-            }
+        let larger = before.rms_px().zip(camera.rms_px()).filter(|(was, is)| *is > LARGER_RESIDUALS * *was);
+        if let Some((was, is)) = larger {
+            let refused = file.with_extension("refused.toml");
+            camera.write(&refused)?;
+            let reason = format!("it has {was:.3} px rms, the new one {is:.3} px");
+            return Err(NotKept::Worse { file: file.into(), reason, refused });
         }
     }
     let old = set_aside(file)?;

@@ -73,14 +73,3 @@ mod testing {
         })
     }
 }
-pub use file::{Calibration, CameraFile, PARAMETERS, ParameterCovariance, Quality, Rms, Serials};
-pub use guidance::{Coverage, coverage, tilts_deg};
-pub use homography::Homography;
-pub use keep::{NotKept, keep, keep_camera};
-pub use phase::{Lit, NotLit, decode, mean};
-pub use points::read_points;
-pub use scale::scale_sigma;
-pub use solve::{MIN_VIEWS, Solution, Terms, Unsolved, View, ViewReport, solve};
-pub use survey::{Centre, Circle, Survey, centre, read_circles, survey};
-pub use triangulated::BoardFit;
-pub use verify::{Verification, VerifyLimits, verify};

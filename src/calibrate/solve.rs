@@ -3,8 +3,9 @@
 //! Not here: images, files.
 //!
 //! A point or a view that belies all the others is left out. Each view is predicted from the others (leave-one-out), since
-//! the residual of a fit flatters it: a distortion term stays only if it makes those predictions better, which an F test
-//! on residuals that are not independent (paper, print, lamp) cannot tell.
+//! the residual of a fit flatters it. A distortion term stays only if it explains more than chance (a likelihood ratio) and
+//! does those predictions no harm: residuals are not independent (paper, print, lamp), so the first test alone keeps
+//! terms that follow one board's bend.
 
 use super::adjust::{Device, OF_DEVICE, Problem, SHARED, Seen, State};
 use super::file::ParameterCovariance;
@@ -143,10 +144,10 @@ const OUTLIER_VIEW: f64 = 3.0;
 /// Residuals that are no reason to leave anything out, px: a printed board is not better than that. Of a point (as a
 /// sigma) and of a view.
 const HARMLESS: [f64; 2] = [0.02, 0.07];
-/// A distortion term must lower the leave-one-out error by this share to stay.
-const EARNS: f64 = 0.005;
-/// Chi² of one parameter that chance exceeds once in 100 times: what skew must explain to stay.
-const SKEW_EARNS: f64 = 6.63;
+/// What a term must explain to stay: the chi² of one parameter, or of two, that chance exceeds once in 20 times.
+const CHANCE: [f64; 2] = [3.84, 5.99];
+/// A term that makes predictions of left-out views worse by this share does not stay, whatever it explains.
+const HARMS: f64 = 0.005;
 
 /// Parameter indices within a device.
 const FOCAL: [usize; 2] = [0, 1];
@@ -373,9 +374,9 @@ impl<'a> Work<'a> {
         before != self.seen.iter().flatten().map(Vec::len).sum::<usize>()
     }
 
-    /// Starts from a pinhole camera with its principal point at the centre and a pinhole projector, and frees the term that
-    /// lowers the leave-one-out error most, as long as one does: the camera's principal point, p1 and p2 together, radial
-    /// terms in their order. (A projector's principal point is far off its centre by design.)
+    /// Starts from a pinhole camera with its principal point at the centre and a pinhole projector, and frees what earns its
+    /// place, the term that predicts best first: the camera's principal point, p1 and p2 together, radial terms in their
+    /// order. (A projector's principal point is far off its centre by design.)
     fn choose_terms(&mut self) -> Result<(), Unsolved> {
         let devices = self.state.devices.len();
         for k in (0..devices).flat_map(|d| (K1..=K3).map(move |k| d * OF_DEVICE + k)).chain(CENTRE) {
@@ -388,11 +389,12 @@ impl<'a> Work<'a> {
             for term in self.next_terms() {
                 let mut with = self.clone();
                 term.iter().for_each(|&k| with.free[k] = true);
-                if with.adjust().is_err() {
-                    continue; // what cannot be determined has not earned its place
+                // what cannot be determined has not earned its place
+                if with.adjust().is_err() || self.misfit() - with.misfit() < CHANCE[term.len() - 1] {
+                    continue;
                 }
                 let e = with.prediction_error();
-                if e < best.as_ref().map_or(error * (1.0 - EARNS), |b| b.0) {
+                if e < best.as_ref().map_or(error * (1.0 + HARMS), |b| b.0) {
                     best = Some((e, with));
                 }
             }
@@ -400,6 +402,16 @@ impl<'a> Work<'a> {
             (error, *self) = (e, with);
         }
         self.settle()
+    }
+
+    /// Chi² of the residuals.
+    fn misfit(&self) -> f64 {
+        self.chi2(&self.residuals())
+    }
+
+    fn chi2(&self, residuals: &[[Vec<Vector2<f64>>; 2]]) -> f64 {
+        let square = |d: usize| residuals.iter().flat_map(|r| &r[d]).map(|r| r.norm_squared()).sum::<f64>();
+        (0..2).map(|d| square(d) / self.sigma[d].powi(2)).sum()
     }
 
     /// The terms that may be freed next, by their parameters.
@@ -416,7 +428,7 @@ impl<'a> Work<'a> {
 
     fn drop_idle_skew(&mut self) -> Result<(), Unsolved> {
         let variance = self.covariance()?[(SKEW, SKEW)];
-        if self.state.devices[0].skew.powi(2) < SKEW_EARNS * variance {
+        if self.state.devices[0].skew.powi(2) < CHANCE[0] * variance {
             self.fix(SKEW);
             self.settle()?;
         }
@@ -444,9 +456,8 @@ impl<'a> Work<'a> {
             .map(|v| self.held_out(v).map(|h| h.residuals))
             .collect();
         let residuals = held_out.unwrap_or_else(|| self.residuals());
-        let square = |d: usize| residuals.iter().flat_map(|r| &r[d]).map(|r| r.norm_squared()).sum::<f64>();
         let count: usize = residuals.iter().flatten().map(Vec::len).sum();
-        ((0..2).map(|d| square(d) / self.sigma[d].powi(2)).sum::<f64>() / count as f64).sqrt()
+        (self.chi2(&residuals) / count as f64).sqrt()
     }
 
     fn report(&self, views: &[View], covariance: SMatrix<f64, SHARED, SHARED>) -> Solution {
@@ -479,13 +490,8 @@ impl<'a> Work<'a> {
     /// would let them: a board's print, its bend and the light on it shift all points of a view together. The jackknife
     /// (Efron, Stein, Annals of Statistics 9 (1981) 586), in units of what it would show of independent residuals.
     fn excess(&self, held_out: &[Option<HeldOut>]) -> Option<f64> {
-        let (mut found, mut expected) = (0.0, 0.0);
-        for (v, h) in held_out.iter().enumerate() {
-            let Some(h) = h else { continue };
-            let others = self.without(v);
-            let (f, e) = self.problem().shift(&self.state, &Problem { views: &others, ..self.problem() }, &h.state)?;
-            (found, expected) = (found + f, expected + e);
-        }
+        let known = held_out.iter().enumerate().filter_map(|(v, h)| Some((v, &h.as_ref()?.state)));
+        let (found, expected) = self.problem().shifts(&self.state, &known.collect::<Vec<_>>())?;
         (expected > 0.0).then(|| found / expected)
     }
 
