@@ -161,7 +161,10 @@ fn a_board_verifies_the_calibration_and_belies_a_bumped_one() {
     let pose = place(&board, [0.0, 0.0, 740.0], [6.0, -8.0, 2.0]);
     write_capture(&capture, &rig(), &board, &pose, true, 77);
     let verify = |file: &Path| {
-        let run = calibrate(&["verify", "--board", MARKED, "--json", "--calibration", text(file)], &[capture.clone()]);
+        let run = calibrate(
+            &["verify", "--board", MARKED, "--json", "--calibration", text(file)],
+            std::slice::from_ref(&capture),
+        );
         let json: Value = serde_json::from_str(&run.out).unwrap_or_else(|e| panic!("{e}: {}{}", run.out, run.err));
         (run.status, json["verification"].clone())
     };
@@ -189,11 +192,12 @@ fn a_board_verifies_the_calibration_and_belies_a_bumped_one() {
     // another pitch than the board's
     let run = calibrate(
         &["verify", "--board", "marked:8x4:56:28", "--calibration", text(&calibration().0)],
-        &[capture.clone()],
+        std::slice::from_ref(&capture),
     );
     assert_eq!(run.status, 1);
     assert!(run.out.contains("is --board's pitch right?"), "{}", run.out);
-    let e = refused(&["verify", "--board", CHESS, "--calibration", text(&calibration().0)], &[capture.clone()]);
+    let e =
+        refused(&["verify", "--board", CHESS, "--calibration", text(&calibration().0)], std::slice::from_ref(&capture));
     assert!(e.contains("no chessboard of 9×6 inner corners"), "{e}");
 }
 
@@ -231,7 +235,7 @@ fn three_surveyed_circles_tie_the_camera_to_the_station() {
     write_other(&exact, 0.0, 0.0);
     let of = |circles: &Path, more: &[&str]| {
         let fixed = ["station", "--calibration", text(&exact), "--circles", text(circles), "--out", text(&out)];
-        calibrate(&[&fixed[..], more].concat(), &[capture.clone()])
+        calibrate(&[&fixed[..], more].concat(), std::slice::from_ref(&capture))
     };
     let run = of(&file, &["--json"]);
     assert_eq!(run.status, 0, "{}", run.err);
