@@ -114,17 +114,24 @@ impl Normal {
 const MAX_STEPS: usize = 100;
 /// A step that would lower the cost by less than this share is not worth taking: of 10⁴ residuals, a thousandth of a sigma.
 const ARRIVED: f64 = 1e-10;
+/// The same for answers without one view, which are only compared with each other: a tenth of a sigma.
+const COMPARED: f64 = 1e-6;
 
 impl Problem<'_> {
     /// Adjusts from `start`. `None` where the observations do not determine what is free, or a board lies behind a
     /// device.
     pub(super) fn adjust(&self, start: State) -> Option<State> {
+        self.adjust_until(start, ARRIVED)
+    }
+
+    /// The same, to where no step would lower the cost by more than the share `arrived`.
+    fn adjust_until(&self, start: State, arrived: f64) -> Option<State> {
         let mut state = start;
         let mut normals = self.normals(&state)?;
         let mut cost: f64 = normals.iter().map(|n| n.cost).sum();
         let mut damping = 1e-6;
         for _ in 0..MAX_STEPS {
-            let Some((shared, poses)) = self.step(&normals, damping) else {
+            let Some((shared, poses)) = self.step(&normals, damping, None) else {
                 damping *= 10.0;
                 if damping > 1e8 {
                     return None;
@@ -133,7 +140,7 @@ impl Problem<'_> {
             };
             // what the step would gain if the projection were linear
             let of_pose = |(n, p): (&Normal, &Vector6<f64>)| n.right_shared.dot(&shared) + n.right_pose.dot(p);
-            if normals.iter().zip(&poses).map(of_pose).sum::<f64>() <= ARRIVED * cost {
+            if normals.iter().zip(&poses).map(of_pose).sum::<f64>() <= arrived * cost {
                 break;
             }
             let next = state.moved(&shared, &poses);
@@ -162,23 +169,9 @@ impl Problem<'_> {
         Some(Shared::from_fn(|i, j| if open[i] && open[j] { inverse[(i, j)] } else { 0.0 }))
     }
 
-    /// How far the answers `without` one view each (by index) lie from `state`, the answer of [`Self::adjust`], in sigmas
-    /// squared, summed; and how far they would be expected to lie if all residuals were independent.
-    pub(super) fn shifts(&self, state: &State, without: &[(usize, &State)]) -> Option<(f64, f64)> {
-        let normals = self.normals(state)?;
-        let information = self.reduced(&normals, 0.0, None)?.0;
-        let free = self.free.iter().filter(|f| **f).count() as f64;
-        let (mut found, mut expected) = (0.0, 0.0);
-        for (view, other) in without {
-            let way = other.less(state);
-            found += (way.transpose() * information * way)[0];
-            // the difference of two nested least-squares answers has the difference of their covariances
-            let others = self.reduced(&normals, 0.0, Some(*view))?.0.cholesky()?.inverse();
-            expected +=
-                (0..SHARED).filter(|&k| self.free[k]).map(|k| (information.row(k) * others.column(k))[0]).sum::<f64>()
-                    - free;
-        }
-        Some((found, expected))
+    /// The problem about `state`, its answer: all that is needed to ask for answers without one view.
+    pub(super) fn linearised<'p>(&'p self, state: &'p State) -> Option<Linearised<'p>> {
+        Some(Linearised { problem: self, state, normals: self.normals(state)? })
     }
 
     /// Seen less projected, px, per view and device, in the order given; `None` where a point lies behind a device.
@@ -252,6 +245,7 @@ impl Problem<'_> {
         let mut inverses = Vec::with_capacity(normals.len());
         for (v, (n, seen)) in normals.iter().zip(self.views).enumerate() {
             if left_out == Some(v) {
+                inverses.push(Matrix6::zeros()); // its board stays where it is
                 continue;
             }
             left += n.shared;
@@ -280,12 +274,53 @@ impl Problem<'_> {
         Some((left, right, inverses))
     }
 
-    fn step(&self, normals: &[Normal], damping: f64) -> Option<(SVector<f64, SHARED>, Vec<Vector6<f64>>)> {
-        let (left, right, inverses) = self.reduced(normals, damping, None)?;
+    fn step(
+        &self,
+        normals: &[Normal],
+        damping: f64,
+        left_out: Option<usize>,
+    ) -> Option<(SVector<f64, SHARED>, Vec<Vector6<f64>>)> {
+        let (left, right, inverses) = self.reduced(normals, damping, left_out)?;
         let shared = left.cholesky()?.solve(&right);
         let pose = |(n, inverse): (&Normal, Matrix6<f64>)| inverse * (n.right_pose - n.mixed.transpose() * shared);
         let poses = normals.iter().zip(inverses).map(pose).collect();
         Some((shared, poses))
+    }
+}
+
+/// A problem's normal equations at its answer.
+pub(super) struct Linearised<'p> {
+    problem: &'p Problem<'p>,
+    state: &'p State,
+    normals: Vec<Normal>,
+}
+
+impl Linearised<'_> {
+    /// The answer without `view`: one step from here, and more where that is not enough. `None` where the others determine
+    /// nothing.
+    pub(super) fn without(&self, view: usize) -> Option<State> {
+        let (shared, poses) = self.problem.step(&self.normals, 0.0, Some(view))?;
+        let mut others = self.problem.views.to_vec();
+        others[view] = Default::default();
+        Problem { views: &others, ..self.problem.clone() }.adjust_until(self.state.moved(&shared, &poses), COMPARED)
+    }
+
+    /// How far the answers `without` one view each (by index) lie from this one, in sigmas squared, summed; and how far they
+    /// would be expected to lie if all residuals were independent.
+    pub(super) fn shifts(&self, without: &[(usize, &State)]) -> Option<(f64, f64)> {
+        let reduced = |left_out| Some(self.problem.reduced(&self.normals, 0.0, left_out)?.0);
+        let information = reduced(None)?;
+        let free: Vec<usize> = (0..SHARED).filter(|&k| self.problem.free[k]).collect();
+        let (mut found, mut expected) = (0.0, 0.0);
+        for (view, other) in without {
+            let way = other.less(self.state);
+            found += (way.transpose() * information * way)[0];
+            // the difference of two nested least-squares answers has the difference of their covariances
+            let covariance = reduced(Some(*view))?.cholesky()?.inverse();
+            let trace: f64 = free.iter().map(|&k| (information.row(k) * covariance.column(k))[0]).sum();
+            expected += trace - free.len() as f64;
+        }
+        Some((found, expected))
     }
 }
 

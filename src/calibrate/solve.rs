@@ -450,12 +450,15 @@ impl<'a> Work<'a> {
     /// Root mean square over all views of their residuals as predicted by the others, in sigmas of each device; of the fit
     /// itself where there are too few views to leave one out.
     fn prediction_error(&self) -> f64 {
-        let held_out: Option<Vec<_>> = (0..self.seen.len())
-            .into_par_iter()
-            .filter(|&v| !self.seen[v][0].is_empty())
-            .map(|v| self.held_out(v).map(|h| h.residuals))
-            .collect();
-        let residuals = held_out.unwrap_or_else(|| self.residuals());
+        let held_out = self.held_out();
+        if held_out.iter().zip(&self.seen).any(|(h, s)| h.is_none() && !s[0].is_empty()) {
+            return f64::INFINITY; // it hangs on one view
+        }
+        let residuals: Vec<_> = if held_out.is_empty() {
+            self.residuals()
+        } else {
+            held_out.into_iter().flatten().map(|h| h.residuals).collect()
+        };
         let count: usize = residuals.iter().flatten().map(Vec::len).sum();
         (self.chi2(&residuals) / count as f64).sqrt()
     }
@@ -463,7 +466,7 @@ impl<'a> Work<'a> {
     fn report(&self, views: &[View], covariance: SMatrix<f64, SHARED, SHARED>) -> Solution {
         let state = &self.state;
         let residuals = self.residuals();
-        let held_out: Vec<_> = (0..views.len()).into_par_iter().map(|v| self.held_out(v)).collect();
+        let held_out = self.held_out();
         let all = |d: usize| residuals.iter().flat_map(|r| &r[d]).copied().collect::<Vec<_>>();
         let [camera, projector] = [all(0), all(1)];
         let report = |(v, view): (usize, &View)| ViewReport {
@@ -473,7 +476,7 @@ impl<'a> Work<'a> {
             seen: self.seen[v][0].clone(),
             rms_px: [rms(&residuals[v][0]), rms(&residuals[v][1])],
             camera_from_board: state.camera_from_board[v],
-            held_out: held_out[v].as_ref().and_then(|h| h.fit),
+            held_out: held_out.get(v).and_then(|h| h.as_ref()?.fit),
         };
         let out: Vec<Vector2<f64>> = held_out.iter().flatten().flat_map(|h| h.residuals[0].clone()).collect();
         Solution {
@@ -491,32 +494,29 @@ impl<'a> Work<'a> {
     /// (Efron, Stein, Annals of Statistics 9 (1981) 586), in units of what it would show of independent residuals.
     fn excess(&self, held_out: &[Option<HeldOut>]) -> Option<f64> {
         let known = held_out.iter().enumerate().filter_map(|(v, h)| Some((v, &h.as_ref()?.state)));
-        let (found, expected) = self.problem().shifts(&self.state, &known.collect::<Vec<_>>())?;
+        let (found, expected) = self.problem().linearised(&self.state)?.shifts(&known.collect::<Vec<_>>())?;
         (expected > 0.0).then(|| found / expected)
     }
 
-    fn without(&self, v: usize) -> Vec<[Vec<Seen>; 2]> {
-        let mut others = self.seen.clone();
-        others[v] = Default::default();
-        others
-    }
-
-    /// View `v` by a calibration from the others: the residuals once its board's pose alone is fitted, and its board as
-    /// camera and projector triangulate it. `None` where too few others are left, or they determine nothing.
-    fn held_out(&self, v: usize) -> Option<HeldOut> {
-        if self.seen[v][0].is_empty() || self.seen.iter().filter(|s| !s[0].is_empty()).count() <= MIN_VIEWS {
-            return None;
-        }
-        let others = self.without(v);
-        let state = Problem { views: &others, ..self.problem() }.adjust(self.state.clone())?;
-        let alone = [self.seen[v].clone()];
-        let one = State { camera_from_board: vec![state.camera_from_board[v]], ..state.clone() };
-        let problem = Problem { views: &alone, free: [false; SHARED], ..self.problem() };
-        let one = problem.adjust(one)?;
-        let residuals = problem.residuals(&one)?.remove(0);
-        let fit = rig(&state.devices, &state.projector_from_camera)
-            .and_then(|rig| triangulated(&rig, self.board, &self.seen[v][0], &self.seen[v][1]));
-        Some(HeldOut { residuals, fit, state })
+    /// Each view by a calibration from the others: the residuals once its board's pose alone is fitted, and its board as
+    /// camera and projector triangulate it. Empty where too few others are left; `None` where they determine nothing.
+    fn held_out(&self) -> Vec<Option<HeldOut>> {
+        let (problem, used) = (self.problem(), self.seen.iter().filter(|s| !s[0].is_empty()).count());
+        let Some(all) = problem.linearised(&self.state).filter(|_| used > MIN_VIEWS) else { return Vec::new() };
+        let without = |v: usize| -> Option<HeldOut> {
+            if self.seen[v][0].is_empty() {
+                return None;
+            }
+            let state = all.without(v)?;
+            let alone = [self.seen[v].clone()];
+            let one = State { camera_from_board: vec![state.camera_from_board[v]], ..state.clone() };
+            let problem = Problem { views: &alone, free: [false; SHARED], ..self.problem() };
+            let residuals = problem.residuals(&problem.adjust(one)?)?.remove(0);
+            let fit = rig(&state.devices, &state.projector_from_camera)
+                .and_then(|rig| triangulated(&rig, self.board, &self.seen[v][0], &self.seen[v][1]));
+            Some(HeldOut { residuals, fit, state })
+        };
+        (0..self.seen.len()).into_par_iter().map(without).collect()
     }
 }
 
