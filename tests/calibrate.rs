@@ -152,20 +152,30 @@ fn rendered_boards_give_the_rig_that_rendered_them() {
     let s = calibrated(&folder.join("chess"), &board("chessboard:11x8:35"));
     show(&s);
     let (rig, v) = (s.rig().expect("both devices"), s.parameter_covariance());
-    for (k, got, want) in [
-        (0, rig.camera.fx, truth.camera.fx),
-        (1, rig.camera.fy, truth.camera.fy),
-        (9, rig.projector.fx, truth.projector.fx),
-        (10, rig.projector.fy, truth.projector.fy),
-    ] {
-        let (percent, sigmas) = (100.0 * (got / want - 1.0), (got - want) / v[(k, k)].sqrt());
-        eprintln!("  f {got:.3} (true {want}): {percent:+.4} %, {sigmas:+.2} sigma");
+    let (pose, true_pose) = (rig.projector_from_camera, truth.projector_from_camera);
+    let turn = (pose.r * true_pose.r.inverse()).scaled_axis();
+    let numbers = |rig: &datum::Rig| {
+        let of = |l: &datum::Lens| [vec![l.fx, l.fy, l.cx, l.cy], l.distortion.to_vec()].concat();
+        [of(&rig.camera), of(&rig.projector)].concat()
+    };
+    let mut error: Vec<f64> = numbers(&rig).iter().zip(numbers(&truth)).map(|(g, w)| g - w).collect();
+    error.extend(turn.iter().copied().chain((pose.t - true_pose.t).iter().copied()));
+    let sigmas: Vec<f64> = error.iter().enumerate().map(|(k, e)| e / v[(k, k)].sqrt()).collect();
+    eprintln!("  error over sigma, all 24: {sigmas:.2?}");
+    assert!(sigmas.iter().all(|s| s.abs() <= 2.5), "{sigmas:?}");
+    // and together, along and across all correlations
+    let unit = |i: usize, j: usize| v[(i, j)] / (v[(i, i)] * v[(j, j)]).sqrt();
+    let inverse = datum::calibrate::ParameterCovariance::from_fn(unit).try_inverse().expect("regular");
+    let sigmas = nalgebra::SVector::<f64, 24>::from_column_slice(&sigmas);
+    let chi2 = sigmas.dot(&(inverse * sigmas));
+    eprintln!("  chi² {chi2:.1} of 24");
+    assert!(chi2 < 43.0, "{chi2}"); // once in 100
+    for (got, want) in [(rig.camera.fx, truth.camera.fx), (rig.projector.fx, truth.projector.fx)] {
+        let percent = 100.0 * (got / want - 1.0);
+        eprintln!("  f {got:.3} (true {want}): {percent:+.4} %");
         assert!(percent.abs() <= 0.10, "{percent} %");
-        assert!(k >= 9 || sigmas.abs() <= 2.5, "{sigmas} sigmas");
     }
-    let (got, want) = (rig.projector_from_camera, truth.projector_from_camera);
-    let baseline = got.t.norm() - want.t.norm();
-    let turn = (got.r * want.r.inverse()).scaled_axis().map(f64::to_degrees);
+    let (baseline, turn) = (pose.t.norm() - true_pose.t.norm(), turn.map(f64::to_degrees));
     eprintln!("  baseline {baseline:+.4} mm, angles {:+.5} {:+.5} {:+.5}°", turn.x, turn.y, turn.z);
     assert!(baseline.abs() <= 0.1 && turn.amax() <= 0.01, "{baseline} mm, {turn}°");
     for h in s.views.iter().filter_map(|v| v.held_out) {

@@ -156,17 +156,19 @@ impl Problem<'_> {
     }
 
     /// Covariance of the shared parameters at `state`, the answer of [`Self::adjust`], if the problem's sigmas are true. A
-    /// parameter that was fixed is not known for that: `presumed` is the standard deviation of what it was fixed at, and
-    /// what that leaves open is in the covariance of all; 0 where it is exact.
+    /// parameter that was fixed is not known for that: `presumed` is the standard deviation of what it was fixed at, 0 where
+    /// that is exact; what it leaves open, and how far the answer would move if it were free, are in the covariance of all.
     pub(super) fn covariance(&self, state: &State, presumed: &[f64; SHARED]) -> Option<SMatrix<f64, SHARED, SHARED>> {
         let open: [bool; SHARED] = std::array::from_fn(|k| self.free[k] || presumed[k] > 0.0);
         let opened = Problem { free: open, ..self.clone() };
-        let (mut left, ..) = opened.reduced(&opened.normals(state)?, 0.0, None)?;
+        let (mut left, right, _) = opened.reduced(&opened.normals(state)?, 0.0, None)?;
         for k in (0..SHARED).filter(|&k| open[k] && !self.free[k]) {
             left[(k, k)] += presumed[k].powi(-2);
         }
         let inverse = left.cholesky()?.inverse();
-        Some(Shared::from_fn(|i, j| if open[i] && open[j] { inverse[(i, j)] } else { 0.0 }))
+        let step = inverse * right;
+        let whole = inverse + step * step.transpose();
+        Some(Shared::from_fn(|i, j| if open[i] && open[j] { whole[(i, j)] } else { 0.0 }))
     }
 
     /// The problem about `state`, its answer: all that is needed to ask for answers without one view.

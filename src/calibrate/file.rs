@@ -142,9 +142,15 @@ impl CameraFile {
         document::write(file, self)
     }
 
-    /// The reprojection error it was made with, px.
-    pub fn rms_px(&self) -> Option<f64> {
-        self.quality.as_ref()?.rms_px.as_ref()?.camera
+    /// Of the image, px.
+    pub fn size(&self) -> (usize, usize) {
+        (self.camera.width, self.camera.height)
+    }
+
+    /// The views it was made from and the reprojection error that they left, px.
+    pub fn quality(&self) -> Option<(u32, f64)> {
+        let q = self.quality.as_ref()?;
+        Some((q.views?, q.rms_px.as_ref()?.camera?))
     }
 }
 
@@ -195,7 +201,12 @@ struct CovarianceTable {
 impl Calibration {
     /// Reads and checks a calibration file.
     pub fn read(file: &Path) -> Result<Self, Error> {
-        let d: Document = document::read(file)?;
+        let d: Document = document::read(file).or_else(|e| {
+            let camera = CameraFile::read(file).is_ok();
+            let allowed =
+                "camera and projector: this is a file of `datum calibrate camera`, use `datum calibrate projector`";
+            Check(file).that(!camera, "[projector]", "(missing)", allowed).and(Err(e))
+        })?;
         let check = Check(file);
         let projector_from_camera = pose(check, "projector_from_camera", &d.projector_from_camera)?;
         let baseline = projector_from_camera.t.norm();
@@ -248,6 +259,16 @@ impl Calibration {
             quality: self.quality.clone(),
         };
         document::write(file, &d)
+    }
+
+    /// Adds to the covariance that all lengths may be wrong by one share, 1 sigma: the pitch of the board they come from.
+    /// Nothing where there is no covariance.
+    pub fn add_scale_sigma(&mut self, share: f64) {
+        let t = share * self.rig.projector_from_camera.t;
+        if let Some(v) = &mut self.covariance {
+            let mut shift = v.fixed_view_mut::<3, 3>(21, 21);
+            shift += t * t.transpose();
+        }
     }
 
     /// This calibration for captures whose camera and projector images have the given sizes (width, height).

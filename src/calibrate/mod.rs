@@ -28,7 +28,7 @@ pub use file::{Calibration, CameraFile, PARAMETERS, ParameterCovariance, Quality
 pub use guidance::Coverage;
 pub use health::{Health, Known, MAX_EPIPOLAR_PX, MAX_INDEX, Turn};
 pub use homography::Homography;
-pub use keep::{NotKept, keep, keep_camera};
+pub use keep::{NotKept, check_replaceable, keep, keep_camera};
 pub use phase::{Lit, NotLit, decode, mean};
 pub use points::read_points;
 pub use propagate::{PointJacobian, Sensitivity, independent_errors};

@@ -14,7 +14,7 @@ use super::triangulated::{BoardFit, triangulated};
 use super::{Homography, start};
 use crate::geometry::robust::{mad_sigma, median};
 use crate::geometry::{Point3, Pose, frame};
-use crate::optics::Rig;
+use crate::optics::{Lens, Rig};
 use nalgebra::{SMatrix, Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -129,8 +129,12 @@ pub enum Unsolved {
     },
 }
 
-/// Three boards fix a camera of four parameters with a check.
-pub const MIN_VIEWS: usize = 3;
+/// Fewer boards cannot be held against each other: with one left out, the rest must still fix the lens, with a check.
+pub const MIN_VIEWS: usize = 5;
+/// What remains when one is left out.
+const MIN_OTHERS: usize = 3;
+/// Boards that both devices must see: fewer leave the projector's lens to chance.
+const MIN_LIT: usize = 3;
 /// A board with fewer points tells too little of its own pose.
 const MIN_POINTS: usize = 12;
 /// Boards nearer to parallel than that, all of them, tell no focal length, degrees.
@@ -144,6 +148,15 @@ const OUTLIER_VIEW: f64 = 3.0;
 /// Residuals that are no reason to leave anything out, px: a printed board is not better than that. Of a point (as a
 /// sigma) and of a view.
 const HARMLESS: [f64; 2] = [0.02, 0.07];
+/// What a point is off by in all views alike, 1 sigma, px: print, paper, the blur's shape, what fringes do at an edge. No
+/// residual shows it, so no sigma is less. Ten rendered boards leave residuals of 0.01 px, and a baseline and lenses that
+/// are off, together, by what residuals of 0.05 px would explain.
+const SHARED_PX: f64 = 0.05;
+/// How far a distortion term (k1, k2, p1, p2, k3) that was not kept may be from 0, 1 sigma: what lenses of machine vision
+/// have. Where the views say more, that counts.
+const PRESUMED: [f64; 5] = [0.1, 0.1, 0.001, 0.001, 0.1];
+/// The same of a principal point left at the centre, as a share of the longer side: how sensors are mounted.
+const PRESUMED_CENTRE: f64 = 0.02;
 /// What a term must explain to stay: the chi² of one parameter, or of two, that chance exceeds once in 20 times.
 const CHANCE: [f64; 2] = [3.84, 5.99];
 /// A term that makes predictions of left-out views worse by this share does not stay, whatever it explains.
@@ -187,13 +200,16 @@ pub fn solve(
     if angle < MIN_ANGLE_DEG {
         return Err(Unsolved::Frontal { found: format!("the boards lie within {angle:.1}° of each other") });
     }
-    let covariance = work.covariance()?;
-    let lens = &work.state.devices[0].lens;
-    let sigma = covariance[(0, 0)].sqrt() / lens.fx;
-    if sigma.is_nan() || sigma > MAX_FOCAL_SIGMA {
-        return Err(Unsolved::Frontal { found: format!("{:.0} px ± {:.1} %", lens.fx, 100.0 * sigma) });
+    let held_out = work.held_out();
+    let covariance = work.covariance(work.excess(&held_out).unwrap_or(1.0))?;
+    for (d, name) in (0..work.state.devices.len()).zip(["camera", "projector"]) {
+        let (fx, at) = (work.state.devices[d].lens.fx, d * OF_DEVICE);
+        let sigma = covariance[(at, at)].sqrt() / fx;
+        if sigma.is_nan() || sigma > MAX_FOCAL_SIGMA {
+            return Err(Unsolved::Frontal { found: format!("the {name}'s: {fx:.0} px ± {:.1} %", 100.0 * sigma) });
+        }
     }
-    Ok(work.report(views, covariance))
+    Ok(work.report(views, &held_out, covariance))
 }
 
 /// What the others say of one view.
@@ -203,6 +219,8 @@ struct HeldOut {
     /// Of the others.
     state: State,
 }
+
+type ProjectorFromCamera = Pose<frame::Projector, frame::Camera>;
 
 /// A calibration in progress.
 #[derive(Clone)]
@@ -268,10 +286,7 @@ impl<'a> Work<'a> {
                 mine[1].clone_from(&v.seen[1]);
             }
         }
-        let lit: Vec<&[Seen]> = work.seen.iter().map(|s| s[1].as_slice()).collect();
-        let got = lit.iter().map(|s| s.len()).sum();
-        let found = start::projector(board, &work.state.camera_from_board, &lit, size);
-        let (lens, place) = found.ok_or(Unsolved::NoProjector { got })?;
+        let (lens, place) = work.start_projector(size)?;
         work.state.devices.push(Device { lens, skew: 0.0 });
         work.state.projector_from_camera = place;
         work.free[2 * OF_DEVICE..].fill(true);
@@ -280,6 +295,42 @@ impl<'a> Work<'a> {
             work.adjust()?;
         }
         Ok(work)
+    }
+
+    /// A projector that agrees with most views: of those from all, and from all but one, the one with the least median over
+    /// the views of their rms. What a view's fringes say that is nowhere near it (an order that is wrong all over, rows and
+    /// columns mixed up) is left out.
+    fn start_projector(&mut self, size: (usize, usize)) -> Result<(Lens, ProjectorFromCamera), Unsolved> {
+        let lit: Vec<usize> = (0..self.seen.len()).filter(|&v| !self.seen[v][1].is_empty()).collect();
+        let got = lit.iter().map(|&v| self.seen[v][1].len()).sum();
+        let without = |out: Option<usize>| {
+            let seen = |v: usize| if out == Some(v) { &[][..] } else { self.seen[v][1].as_slice() };
+            let seen: Vec<&[Seen]> = (0..self.seen.len()).map(seen).collect();
+            let (lens, place) = start::projector(self.board, &self.state.camera_from_board, &seen, size)?;
+            let off = |v: usize| {
+                let pose = place * self.state.camera_from_board[v];
+                let off = |&(k, at): &Seen| {
+                    let p = pose * Point3::new(self.board[k].push(0.0));
+                    lens.project(&p.xyz).map_or(Vector2::repeat(f64::INFINITY), |q| at - q)
+                };
+                rms(&self.seen[v][1].iter().map(off).collect::<Vec<_>>())
+            };
+            let off: Vec<f64> = lit.iter().map(|&v| off(v)).collect();
+            Some((median(&mut off.clone()), off, lens, place))
+        };
+        let starts = std::iter::once(None).chain(lit.iter().map(|&v| Some(v))).filter_map(without);
+        let best = starts.min_by(|a, b| a.0.total_cmp(&b.0)).ok_or(Unsolved::NoProjector { got })?;
+        let (typical, off, lens, place) = best;
+        let near = |off: f64| off <= 10.0 * typical + 5.0;
+        if off.iter().filter(|o| near(**o)).count() < MIN_LIT {
+            return Err(Unsolved::NoProjector { got });
+        }
+        for (&v, off) in lit.iter().zip(off) {
+            if !near(off) {
+                self.seen[v][1].clear();
+            }
+        }
+        Ok((lens, place))
     }
 
     fn problem(&self) -> Problem<'_> {
@@ -291,16 +342,16 @@ impl<'a> Work<'a> {
         Ok(())
     }
 
-    fn covariance(&self) -> Result<SMatrix<f64, SHARED, SHARED>, Unsolved> {
+    /// Of the shared parameters. `excess`: see [`Self::excess`].
+    fn covariance(&self, excess: f64) -> Result<SMatrix<f64, SHARED, SHARED>, Unsolved> {
         let mut presumed = [0.0; SHARED];
         for (d, device) in self.state.devices.iter().enumerate().filter(|_| self.terms == Terms::Chosen) {
-            for (k, sigma) in [(K1, 0.1), (K2, 0.1), (P[0], 0.001), (P[1], 0.001), (K3, 0.1)] {
-                presumed[d * OF_DEVICE + k] = sigma;
-            }
-            let off_centre = 0.02 * device.lens.width.max(device.lens.height) as f64;
-            CENTRE.iter().for_each(|k| presumed[d * OF_DEVICE + k] = off_centre);
+            (K1..=K3).for_each(|k| presumed[d * OF_DEVICE + k] = PRESUMED[k - K1]);
+            let side = device.lens.width.max(device.lens.height) as f64;
+            CENTRE.iter().for_each(|k| presumed[d * OF_DEVICE + k] = PRESUMED_CENTRE * side);
         }
-        self.problem().covariance(&self.state, &presumed).ok_or(Unsolved::Diverged)
+        let sigma = self.sigma.map(|s| (s * excess.max(1.0).sqrt()).max(SHARED_PX));
+        Problem { sigma, ..self.problem() }.covariance(&self.state, &presumed).ok_or(Unsolved::Diverged)
     }
 
     /// Adjusts, weighs the devices by what they leave, leaves out what belies the rest, until neither changes anything.
@@ -316,6 +367,10 @@ impl<'a> Work<'a> {
             let left = self.seen.iter().filter(|s| !s[0].is_empty()).count();
             if left < MIN_VIEWS {
                 return Err(Unsolved::TooFewViews { got: left });
+            }
+            let lit = self.seen.iter().filter(|s| !s[1].is_empty()).count();
+            if self.state.devices.len() > 1 && lit < MIN_LIT {
+                return Err(Unsolved::NoProjector { got: self.seen.iter().map(|s| s[1].len()).sum() });
             }
         }
         self.adjust()
@@ -383,7 +438,7 @@ impl<'a> Work<'a> {
             self.fix(k);
         }
         self.adjust()?; // the sigmas stay those of all terms: the scale by which every choice is judged
-        let mut error = self.prediction_error();
+        let mut least = self.prediction_error();
         loop {
             let mut best: Option<(f64, Self)> = None;
             for term in self.next_terms() {
@@ -394,12 +449,12 @@ impl<'a> Work<'a> {
                     continue;
                 }
                 let e = with.prediction_error();
-                if e < best.as_ref().map_or(error * (1.0 + HARMS), |b| b.0) {
+                if e < best.as_ref().map_or(least * (1.0 + HARMS), |b| b.0) {
                     best = Some((e, with));
                 }
             }
             let Some((e, with)) = best else { break };
-            (error, *self) = (e, with);
+            (least, *self) = (least.min(e), with);
         }
         self.settle()
     }
@@ -427,7 +482,7 @@ impl<'a> Work<'a> {
     }
 
     fn drop_idle_skew(&mut self) -> Result<(), Unsolved> {
-        let variance = self.covariance()?[(SKEW, SKEW)];
+        let variance = self.covariance(1.0)?[(SKEW, SKEW)];
         if self.state.devices[0].skew.powi(2) < CHANCE[0] * variance {
             self.fix(SKEW);
             self.settle()?;
@@ -463,10 +518,14 @@ impl<'a> Work<'a> {
         (self.chi2(&residuals) / count as f64).sqrt()
     }
 
-    fn report(&self, views: &[View], covariance: SMatrix<f64, SHARED, SHARED>) -> Solution {
+    fn report(
+        &self,
+        views: &[View],
+        held_out: &[Option<HeldOut>],
+        covariance: SMatrix<f64, SHARED, SHARED>,
+    ) -> Solution {
         let state = &self.state;
         let residuals = self.residuals();
-        let held_out = self.held_out();
         let all = |d: usize| residuals.iter().flat_map(|r| &r[d]).copied().collect::<Vec<_>>();
         let [camera, projector] = [all(0), all(1)];
         let report = |(v, view): (usize, &View)| ViewReport {
@@ -482,7 +541,7 @@ impl<'a> Work<'a> {
         Solution {
             devices: state.devices.clone(),
             projector_from_camera: state.projector_from_camera,
-            covariance: covariance * self.excess(&held_out).unwrap_or(1.0).max(1.0),
+            covariance,
             rms_px: [rms(&camera), rms(&projector), rms(&[camera, projector].concat())],
             views: views.iter().enumerate().map(report).collect(),
             leave_one_out_rms_px: (!out.is_empty()).then(|| rms(&out)),
@@ -502,7 +561,7 @@ impl<'a> Work<'a> {
     /// camera and projector triangulate it. Empty where too few others are left; `None` where they determine nothing.
     fn held_out(&self) -> Vec<Option<HeldOut>> {
         let (problem, used) = (self.problem(), self.seen.iter().filter(|s| !s[0].is_empty()).count());
-        let Some(all) = problem.linearised(&self.state).filter(|_| used > MIN_VIEWS) else { return Vec::new() };
+        let Some(all) = problem.linearised(&self.state).filter(|_| used > MIN_OTHERS) else { return Vec::new() };
         let without = |v: usize| -> Option<HeldOut> {
             if self.seen[v][0].is_empty() {
                 return None;
@@ -535,7 +594,6 @@ fn rms(residuals: &[Vector2<f64>]) -> f64 {
 mod tests {
     use super::super::adjust::Device;
     use super::*;
-    use crate::optics::Lens;
     use crate::testing::Noise;
     use nalgebra::{Rotation3, SVector};
 
@@ -668,9 +726,19 @@ mod tests {
     }
 
     #[test]
+    fn fringes_of_one_view_that_were_mixed_up_are_left_out() {
+        let mut mixed = views(&mut Noise::new(9), 0.0);
+        mixed[3].seen[1].iter_mut().for_each(|s| s.1 = s.1.yx());
+        let s = solve(&board(), &mixed, SIZES, Terms::Chosen).expect("nine good views");
+        let rejected: Vec<usize> = s.views.iter().map(|v| v.rejected).collect();
+        assert_eq!(rejected, [0, 0, 0, 88, 0, 0, 0, 0, 0, 0]);
+        assert!((s.devices[1].lens.fx - 1052.0).abs() < 1.5, "{:?}", s.devices[1]);
+    }
+
+    #[test]
     fn too_few_and_frontal_boards_are_refused() {
         let all = views(&mut Noise::new(1), 0.0);
-        assert_eq!(solve(&board(), &all[..2], SIZES, Terms::Chosen).err(), Some(Unsolved::TooFewViews { got: 2 }));
+        assert_eq!(solve(&board(), &all[..4], SIZES, Terms::Chosen).err(), Some(Unsolved::TooFewViews { got: 4 }));
         let lens = &truth().devices[0];
         let frontal: Vec<View> = (0..5)
             .map(|v| {

@@ -4,7 +4,8 @@ use super::super::{Status, print};
 use super::input::{Shot, read_shots, seen};
 use super::report;
 use crate::calibrate::{
-    Board, Calibration, Lit, MIN_VIEWS, Quality, Rms, Serials, Solution, Terms, View, keep, scale_sigma, solve,
+    Board, Calibration, Lit, MIN_VIEWS, Quality, Rms, Serials, Solution, Terms, View, check_replaceable, keep,
+    scale_sigma, solve,
 };
 use crate::capture::Capture;
 use crate::document::Check;
@@ -19,6 +20,9 @@ pub(in crate::cli) struct Arguments {
     /// The board: chessboard:11x8:35 (inner corners, pitch mm), circles:8x4:60:30 (pitch, diameter), marked:8x4:60:30
     #[arg(long)]
     board: Board,
+    /// Standard deviation of the board's pitch, %: how well the print was measured
+    #[arg(long, default_value_t = 0.02, value_parser = percent, value_name = "PERCENT")]
+    pitch_sigma_percent: f64,
     /// Writes the calibration; one that is there is kept beside it
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
@@ -30,7 +34,16 @@ pub(in crate::cli) struct Arguments {
     json: bool,
 }
 
+fn percent(text: &str) -> Result<f64, String> {
+    let value = text.parse().ok().filter(|v| (0.0..=5.0).contains(v));
+    value.ok_or_else(|| "allowed: 0 to 5 %".into())
+}
+
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
+    a.out.as_deref().map_or(Ok(()), |out| check_replaceable(out, a.force))?;
+    if let Some(picture) = a.captures.iter().find(|c| c.is_file()) {
+        anyhow::bail!("{}: a file, allowed: folders with a capture.toml", picture.display());
+    }
     let mut shots = read_shots(&a.captures, &a.board)?;
     anyhow::ensure!(
         shots.len() >= MIN_VIEWS,
@@ -63,21 +76,42 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         views.push(View { name: shot.name.clone(), seen: [camera, lit] });
     }
     let solution = solve(&points, &views, [Some(shots[0].size), Some(projector)], Terms::Chosen)?;
-    let calibration = calibration(&solution, &shots, a)?;
+    let distance_mm = solution.working_distance_mm(&points);
+    let mut calibration = calibration(&solution, &shots, a)?;
+    let of_fit = scale_sigma(&calibration, distance_mm);
+    calibration.add_scale_sigma(a.pitch_sigma_percent / 100.0);
+    let total = scale_sigma(&calibration, distance_mm).map(|s| 100.0 * s);
+    calibration.quality.get_or_insert_default().scale_sigma_percent = total;
     let coverage = solution.coverage();
-    let scale = calibration.quality.as_ref().and_then(|q| q.scale_sigma_percent);
     let text = if a.json {
-        format!("{:#}\n", report::json(&solution, &coverage, scale))
+        format!("{:#}\n", report::json(&solution, &coverage, total))
     } else {
-        report::table(&solution, &coverage, scale)
+        report::table(&solution, &coverage, total)
     };
-    print(&text)?;
-    if let Some(file) = &a.out {
-        let kept = keep(file, &calibration, a.force)?;
-        kept.iter().for_each(|old| eprintln!("{}: the one before", old.display()));
+    if let Some(s) = of_fit {
+        eprintln!("scale: ± {:.4} % from the fit, ± {:.4} % from the board's pitch", 100.0 * s, a.pitch_sigma_percent);
     }
+    if total.is_some_and(|t| t > WARN_SCALE_PERCENT) {
+        eprintln!(
+            "warning: lengths are known to ± {:.2} % only: take what is missing below",
+            total.unwrap_or(f64::NAN)
+        );
+    }
+    if let Some(file) = &a.out {
+        let surveyed = Calibration::read(file).is_ok_and(|c| c.station_from_camera.is_some());
+        let kept = keep(file, &calibration, a.force)
+            .inspect_err(|_| eprint!("{}", report::table(&solution, &coverage, total)))?;
+        kept.iter().for_each(|old| eprintln!("{}: the one before", old.display()));
+        if surveyed {
+            eprintln!("warning: the datum survey is not carried over: repeat `datum calibrate station`");
+        }
+    }
+    print(&text)?;
     Ok(Status::Done)
 }
+
+/// Sigma of scale above which a rig is hardly fit to measure, %.
+const WARN_SCALE_PERCENT: f64 = 0.05;
 
 fn capture(shot: &Shot) -> anyhow::Result<&Capture> {
     shot.capture
@@ -105,7 +139,7 @@ fn calibration(s: &Solution, shots: &[Shot], a: &Arguments) -> anyhow::Result<Ca
     let serial = captures.first().and_then(|c| c.camera.serial.clone());
     let id = date.as_ref().map(|d| format!("{d}/{}/-", serial.as_deref().unwrap_or("-")));
     let [camera, projector, joint] = s.rms_px.map(Some);
-    let mut out = Calibration {
+    Ok(Calibration {
         file: a.out.clone().unwrap_or_default(),
         id,
         rig: s.rig().context("a calibration without a projector")?,
@@ -119,8 +153,5 @@ fn calibration(s: &Solution, shots: &[Shot], a: &Arguments) -> anyhow::Result<Ca
             rms_px: Some(Rms { camera, projector, joint }),
             serials: serial.map(|camera| Serials { camera: Some(camera), projector: None }),
         }),
-    };
-    let sigma = scale_sigma(&out, s.working_distance_mm(&a.board.points()));
-    out.quality.as_mut().expect("set just now").scale_sigma_percent = sigma.map(|s| 100.0 * s);
-    Ok(out)
+    })
 }
