@@ -34,9 +34,11 @@ pub use points::read_points;
 pub use propagate::{PointJacobian, Sensitivity, independent_errors};
 pub use scale::scale_sigma;
 pub use solve::{MIN_VIEWS, Solution, Terms, Unsolved, View, ViewReport, solve};
-pub use survey::{Centre, Circle, Survey, centre, read_circles, survey};
+pub use survey::{
+    Centre, Circle, Culprit, MAX_RESIDUAL_MM, MAX_SIGMAS, Misfit, Survey, Unsurveyed, centre, read_circles, survey,
+};
 pub use triangulated::BoardFit;
-pub use verify::{Verification, VerifyLimits, verify};
+pub use verify::{TooFew, Verification, VerifyLimits, verify};
 
 #[cfg(test)]
 mod testing {

@@ -24,17 +24,22 @@ pub(in crate::cli) struct Arguments {
     #[arg(long)]
     scale_calibration: bool,
     /// Largest scale error, %
-    #[arg(long, default_value_t = VerifyLimits::default().scale_percent)]
+    #[arg(long, value_name = "LIMIT", value_parser = limit, default_value_t = VerifyLimits::default().scale_percent)]
     max_scale_percent: f64,
     /// Largest deviation from flat, rms, mm
-    #[arg(long, default_value_t = VerifyLimits::default().flatness_mm)]
+    #[arg(long, value_name = "LIMIT", value_parser = limit, default_value_t = VerifyLimits::default().flatness_mm)]
     max_flatness_mm: f64,
     /// Largest epipolar residual, rms, projector px
-    #[arg(long, default_value_t = VerifyLimits::default().epipolar_px)]
+    #[arg(long, value_name = "LIMIT", value_parser = limit, default_value_t = VerifyLimits::default().epipolar_px)]
     max_epipolar_px: f64,
     /// Prints JSON
     #[arg(long)]
     json: bool,
+}
+
+fn limit(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|v| v.is_finite() && *v > 0.0);
+    number.ok_or_else(|| "allowed: a finite number greater than 0".into())
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
@@ -56,8 +61,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         flatness_mm: a.max_flatness_mm,
         epipolar_px: a.max_epipolar_px,
     };
-    let result = verify(rig, &a.board, &camera, &lit, limits)
-        .with_context(|| format!("{}: too few points of the board have valid fringes", a.capture.display()))?;
+    let result = verify(rig, &a.board, &camera, &lit, limits).with_context(|| a.capture.display().to_string())?;
     let text = if a.json {
         let mut out = report::rig(&rig.camera, Some(rig));
         let std = calibration.covariance.as_ref().map(|c| {
