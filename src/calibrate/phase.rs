@@ -39,7 +39,7 @@ pub enum NotLit {
     #[error(transparent)]
     Capture(#[from] capture::Error),
     /// The fringes.
-    #[error("{}: {source}", file.display())]
+    #[error("{}", file.display())]
     Fringes {
         /// The capture's description.
         file: std::path::PathBuf,

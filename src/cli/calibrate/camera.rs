@@ -1,12 +1,15 @@
 //! `datum calibrate camera`: pictures of a board, or given points, in; the camera's lens out.
 
 use super::super::{Status, print};
-use super::input::{read_shots, seen};
+use super::input::{LeftOut, Shot, Shots, read_all, seen};
 use super::report;
 use crate::calibrate::{Board, MIN_VIEWS, Solution, Terms, View, keep_camera, read_points, solve};
 use crate::document::Check;
-use nalgebra::Vector2;
-use std::path::PathBuf;
+use crate::image::MAX_SIDE;
+use crate::optics::Pixel;
+use anyhow::Context;
+use serde_json::json;
+use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Arguments {
@@ -33,33 +36,50 @@ pub(in crate::cli) struct Arguments {
     json: bool,
 }
 
+/// Larger pixels, and larger coordinates of a board in any unit, are no points; their squares would overflow.
+const MAX_PIXEL: f64 = 1e5;
+const MAX_BOARD: f64 = 1e6;
+/// Images of fewer columns or rows show no board.
+const MIN_SIDE: usize = 16;
+
 fn size(text: &str) -> Result<(usize, usize), String> {
-    let side = |t: &str| t.parse().ok().filter(|n| (16..=crate::image::MAX_SIDE).contains(n));
+    let side = |t: &str| t.parse().ok().filter(|n| (MIN_SIDE..=MAX_SIDE).contains(n));
     let sides = text.split_once('x').and_then(|(w, h)| side(w).zip(side(h)));
-    sides.ok_or_else(|| format!("allowed: WIDTHxHEIGHT in px, each 16 to {}", crate::image::MAX_SIDE))
+    sides.ok_or_else(|| format!("allowed: WIDTHxHEIGHT in px, each {MIN_SIDE} to {MAX_SIDE}"))
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
-    let (solution, board) = match &a.board {
-        Some(board) => (from_shots(a, board)?, Some(*board)),
-        None => (from_points(a)?, None),
+    let (solution, left_out) = match &a.board {
+        Some(board) => from_shots(a, board)?,
+        None => (from_points(a)?, Vec::new()),
     };
-    let coverage = solution.coverage();
+    // an assumed image ends where the points do: they cover it, whatever they are
+    let known = a.board.is_some() || a.size.is_some();
+    let coverage = known.then(|| solution.coverage());
     if let Some(file) = &a.out {
-        let kept = keep_camera(file, &solution, board.as_ref(), a.force)?;
+        let kept = keep_camera(file, &solution, a.board.as_ref(), a.force)?;
         kept.iter().for_each(|old| eprintln!("{}: the one before", old.display()));
+        let skew = solution.devices[0].skew;
+        if skew != 0.0 {
+            eprintln!("{}: without the skew of {skew:.4} px: a calibration file has none", file.display());
+        }
     }
     let text = if a.json {
-        format!("{:#}\n", report::json(&solution, &coverage, None))
+        let mut out = report::json(&solution, coverage.as_ref(), None);
+        let unused = left_out.iter().map(|l| {
+            json!({"name": l.name, "rms_px": null, "projector_rms_px": null, "used": false, "rejected_points": null, "detail": l.detail})
+        });
+        out["views"].as_array_mut().expect("a list of views").extend(unused);
+        format!("{out:#}\n")
     } else {
-        report::table(&solution, &coverage, None)
+        report::table(&solution, coverage.as_ref(), None)
     };
     print(&text)?;
     Ok(Status::Done)
 }
 
-fn from_shots(a: &Arguments, board: &Board) -> anyhow::Result<Solution> {
-    let mut shots = read_shots(&a.shots, board)?;
+fn from_shots(a: &Arguments, board: &Board) -> anyhow::Result<(Solution, Vec<LeftOut>)> {
+    let Shots { mut shots, left_out } = read_all(&a.shots, board)?;
     anyhow::ensure!(
         shots.len() >= MIN_VIEWS,
         "--board {board}: found in {} of {} pictures, at least {MIN_VIEWS} are needed",
@@ -67,8 +87,8 @@ fn from_shots(a: &Arguments, board: &Board) -> anyhow::Result<Solution> {
         a.shots.len()
     );
     let points = board.points();
-    let solved = |shots: &[super::input::Shot]| {
-        let view = |s: &super::input::Shot| View { name: s.name.clone(), seen: [seen(&s.sighting), Vec::new()] };
+    let solved = |shots: &[Shot]| {
+        let view = |s: &Shot| View { name: s.name.clone(), seen: [seen(&s.sighting), Vec::new()] };
         let views: Vec<View> = shots.iter().map(view).collect();
         solve(&points, &views, [Some(shots[0].size), None], Terms::Chosen)
     };
@@ -79,22 +99,52 @@ fn from_shots(a: &Arguments, board: &Board) -> anyhow::Result<Solution> {
         shots.iter_mut().for_each(|s| s.sighting = s.sighting.through(board, &lens));
         solution = solved(&shots)?;
     }
-    Ok(solution)
+    Ok((solution, left_out))
 }
 
 fn from_points(a: &Arguments) -> anyhow::Result<Solution> {
     let [model, data @ ..] = a.points.as_slice() else { unreachable!("clap asks for two files at least") };
     let board = read_points(model)?;
+    within(model, &board, Pixel::repeat(-MAX_BOARD), Pixel::repeat(MAX_BOARD))?;
+    // half an image outside of it a point may be wrong; further out the size is
+    let (low, high) = a.size.map_or((Pixel::repeat(-MAX_PIXEL), Pixel::repeat(MAX_PIXEL)), |(w, h)| {
+        let size = Pixel::new(w as f64, h as f64);
+        (-0.5 * size, 1.5 * size)
+    });
     let mut views = Vec::new();
-    let mut largest = Vector2::new(0f64, 0.0);
+    let mut largest = Pixel::zeros();
     for file in data {
         let pixels = read_points(file)?;
         let allowed = format!("as many as {}, {}", model.display(), board.len());
         Check(file).that(pixels.len() == board.len(), "count of points", pixels.len(), allowed)?;
+        within(file, &pixels, low, high)?;
         largest = pixels.iter().fold(largest, |a, p| a.sup(p));
         let name = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         views.push(View { name, seen: [pixels.into_iter().enumerate().collect(), Vec::new()] });
     }
-    let size = a.size.unwrap_or((largest.x.ceil() as usize + 1, largest.y.ceil() as usize + 1));
+    let size = match a.size {
+        Some(size) => size,
+        None => assumed(largest)?,
+    };
     Ok(solve(&board, &views, [Some(size), None], Terms::Zhang)?)
+}
+
+/// All of `points` lie in the box.
+fn within(file: &Path, points: &[Pixel], low: Pixel, high: Pixel) -> Result<(), crate::document::Error> {
+    let inside = |p: &Pixel| *p >= low && *p <= high;
+    let allowed = format!("x {} to {}, y {} to {}", low.x, high.x, low.y, high.y);
+    let outside = points.iter().enumerate().find(|(_, p)| !inside(p));
+    outside.map_or(Ok(()), |(k, p)| {
+        Check(file).that(false, format!("point {}", k + 1), format!("({:?}, {:?})", p.x, p.y), allowed)
+    })
+}
+
+/// The size of an image that ends at its last points.
+fn assumed(largest: Pixel) -> anyhow::Result<(usize, usize)> {
+    let (w, h) = (largest.x.ceil() as usize + 1, largest.y.ceil() as usize + 1);
+    let sides = MIN_SIDE..=MAX_SIDE;
+    let likely = sides.contains(&w) && sides.contains(&h);
+    likely.then_some(()).with_context(|| format!("--size is needed: from the points the image would be {w}×{h} px"))?;
+    eprintln!("image size assumed from the points: {w}×{h} px; --size sets it");
+    Ok((w, h))
 }

@@ -17,10 +17,28 @@ pub(super) struct Shot {
     pub(super) capture: Option<Capture>,
 }
 
-/// The shots that show the board. What shows none is told on standard error and left out; errors where a file cannot be
-/// read, or is of another size than the first.
+/// A picture or a capture without the board.
+pub(super) struct LeftOut {
+    pub(super) name: String,
+    pub(super) detail: String,
+}
+
+/// The shots that show the board, and the others.
+pub(super) struct Shots {
+    pub(super) shots: Vec<Shot>,
+    pub(super) left_out: Vec<LeftOut>,
+}
+
+/// The shots that show the board, of [`read_all`].
 pub(super) fn read_shots(paths: &[PathBuf], board: &Board) -> anyhow::Result<Vec<Shot>> {
-    let mut shots: Vec<Shot> = Vec::new();
+    Ok(read_all(paths, board)?.shots)
+}
+
+/// What shows no board is told on standard error, too. Errors where a file cannot be read, is given twice, or is of another
+/// size than the first.
+pub(super) fn read_all(paths: &[PathBuf], board: &Board) -> anyhow::Result<Shots> {
+    different(paths)?;
+    let mut out = Shots { shots: Vec::new(), left_out: Vec::new() };
     let mut first: Option<(PathBuf, (usize, usize))> = None;
     for (n, path) in paths.iter().enumerate() {
         let (image, capture) = read(path)?;
@@ -40,12 +58,28 @@ pub(super) fn read_shots(paths: &[PathBuf], board: &Board) -> anyhow::Result<Vec
         match find(&image, board) {
             Ok(sighting) => {
                 eprintln!("{}/{} {name}: {} of {} points", n + 1, paths.len(), count(&sighting), sighting.marks.len());
-                shots.push(Shot { name, file: path.clone(), size, sighting, capture });
+                out.shots.push(Shot { name, file: path.clone(), size, sighting, capture });
             }
-            Err(e) => eprintln!("{}/{} {name}: left out: {e}", n + 1, paths.len()),
+            Err(e) => {
+                eprintln!("{}/{} {name}: left out: {e}", n + 1, paths.len());
+                out.left_out.push(LeftOut { name, detail: e.to_string() });
+            }
         }
     }
-    Ok(shots)
+    Ok(out)
+}
+
+/// A view that counts twice would make a calibration look better than it is.
+fn different(paths: &[PathBuf]) -> anyhow::Result<()> {
+    let mut seen = std::collections::HashMap::new();
+    for path in paths {
+        // what does not resolve is an error when it is read
+        let Ok(file) = path.canonicalize() else { continue };
+        if let Some(before) = seen.insert(file, path) {
+            anyhow::bail!("{}: given twice (as {}), allowed: each view once", path.display(), before.display());
+        }
+    }
+    Ok(())
 }
 
 /// One shot, which must show the board.
@@ -62,7 +96,7 @@ fn read(path: &Path) -> anyhow::Result<(Image<f32>, Option<Capture>)> {
         let capture = Capture::open(path)?;
         return Ok((mean(&capture)?, Some(capture)));
     }
-    let image = read_png(path).with_context(|| path.display().to_string())?;
+    let image = read_png(path)?; // its errors name the file
     let pixels = image.pixels.iter().map(|&v| f32::from(v)).collect();
     Ok((Image { width: image.width, height: image.height, pixels }, None))
 }
