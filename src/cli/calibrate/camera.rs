@@ -1,14 +1,13 @@
 //! `datum calibrate camera`: pictures of a board, or given points, in; the camera's lens out.
 
 use super::super::{Status, print};
-use super::input::{LeftOut, Shot, Shots, read_all, seen};
+use super::input::{LeftOut, Shot, Shots, read_shots, seen};
 use super::report;
-use crate::calibrate::{Board, MIN_VIEWS, Solution, Terms, View, keep_camera, read_points, solve};
+use crate::calibrate::{Board, Solution, Terms, View, check_replaceable, keep_camera, read_points, solve};
 use crate::document::Check;
 use crate::image::MAX_SIDE;
 use crate::optics::Pixel;
 use anyhow::Context;
-use serde_json::json;
 use std::path::{Path, PathBuf};
 
 #[derive(Debug, clap::Args)]
@@ -49,6 +48,7 @@ fn size(text: &str) -> Result<(usize, usize), String> {
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
+    a.out.as_deref().map_or(Ok(()), |out| check_replaceable(out, a.force))?;
     let (solution, left_out) = match &a.board {
         Some(board) => from_shots(a, board)?,
         None => (from_points(a)?, Vec::new()),
@@ -65,12 +65,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         }
     }
     let text = if a.json {
-        let mut out = report::json(&solution, coverage.as_ref(), None);
-        let unused = left_out.iter().map(|l| {
-            json!({"name": l.name, "rms_px": null, "projector_rms_px": null, "used": false, "rejected_points": null, "detail": l.detail})
-        });
-        out["views"].as_array_mut().expect("a list of views").extend(unused);
-        format!("{out:#}\n")
+        format!("{:#}\n", report::json(&solution, coverage.as_ref(), None, &left_out))
     } else {
         report::table(&solution, coverage.as_ref(), None)
     };
@@ -79,13 +74,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
 }
 
 fn from_shots(a: &Arguments, board: &Board) -> anyhow::Result<(Solution, Vec<LeftOut>)> {
-    let Shots { mut shots, left_out } = read_all(&a.shots, board)?;
-    anyhow::ensure!(
-        shots.len() >= MIN_VIEWS,
-        "--board {board}: found in {} of {} pictures, at least {MIN_VIEWS} are needed",
-        shots.len(),
-        a.shots.len()
-    );
+    let Shots { mut shots, left_out } = read_shots(&a.shots, board)?;
     let points = board.points();
     let solved = |shots: &[Shot]| {
         let view = |s: &Shot| View { name: s.name.clone(), seen: [seen(&s.sighting), Vec::new()] };

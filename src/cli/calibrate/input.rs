@@ -1,7 +1,7 @@
 //! What is calibrated from: pictures and captures of a board, with the board found in them.
 
 use crate::calibrate::target::{Sighting, find};
-use crate::calibrate::{Board, Seen, mean};
+use crate::calibrate::{Board, MIN_VIEWS, Seen, mean};
 use crate::capture::{self, Capture};
 use crate::image::{Image, read_png};
 use anyhow::Context;
@@ -29,14 +29,9 @@ pub(super) struct Shots {
     pub(super) left_out: Vec<LeftOut>,
 }
 
-/// The shots that show the board, of [`read_all`].
-pub(super) fn read_shots(paths: &[PathBuf], board: &Board) -> anyhow::Result<Vec<Shot>> {
-    Ok(read_all(paths, board)?.shots)
-}
-
 /// What shows no board is told on standard error, too. Errors where a file cannot be read, is given twice, or is of another
-/// size than the first.
-pub(super) fn read_all(paths: &[PathBuf], board: &Board) -> anyhow::Result<Shots> {
+/// size than the first, and where too few show the board.
+pub(super) fn read_shots(paths: &[PathBuf], board: &Board) -> anyhow::Result<Shots> {
     different(paths)?;
     let mut out = Shots { shots: Vec::new(), left_out: Vec::new() };
     let mut first: Option<(PathBuf, (usize, usize))> = None;
@@ -66,6 +61,12 @@ pub(super) fn read_all(paths: &[PathBuf], board: &Board) -> anyhow::Result<Shots
             }
         }
     }
+    anyhow::ensure!(
+        out.shots.len() >= MIN_VIEWS,
+        "--board {board}: found in {} of {}, at least {MIN_VIEWS} are needed",
+        out.shots.len(),
+        paths.len()
+    );
     Ok(out)
 }
 

@@ -1,11 +1,10 @@
 //! `datum calibrate projector`: captures of a board with column and row fringes in; the rig out.
 
 use super::super::{Status, print};
-use super::input::{Shot, read_shots, seen};
+use super::input::{Shot, Shots, read_shots, seen};
 use super::report;
 use crate::calibrate::{
-    Board, Calibration, Lit, MIN_VIEWS, Quality, Rms, Serials, Solution, Terms, View, check_replaceable, keep,
-    scale_sigma, solve,
+    Board, Calibration, Lit, Quality, Rms, Serials, Solution, Terms, View, check_replaceable, keep, scale_sigma, solve,
 };
 use crate::capture::Capture;
 use crate::document::Check;
@@ -44,14 +43,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     if let Some(picture) = a.captures.iter().find(|c| c.is_file()) {
         anyhow::bail!("{}: a file, allowed: folders with a capture.toml", picture.display());
     }
-    let mut shots = read_shots(&a.captures, &a.board)?;
-    anyhow::ensure!(
-        shots.len() >= MIN_VIEWS,
-        "--board {}: found in {} of {} captures, at least {MIN_VIEWS} are needed",
-        a.board,
-        shots.len(),
-        a.captures.len()
-    );
+    let Shots { mut shots, left_out } = read_shots(&a.captures, &a.board)?;
     let projector = projector_size(&shots)?;
     let points = a.board.points();
     if a.board.diameter().is_some() {
@@ -84,9 +76,9 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     calibration.quality.get_or_insert_default().scale_sigma_percent = total;
     let coverage = solution.coverage();
     let text = if a.json {
-        format!("{:#}\n", report::json(&solution, &coverage, total))
+        format!("{:#}\n", report::json(&solution, Some(&coverage), total, &left_out))
     } else {
-        report::table(&solution, &coverage, total)
+        report::table(&solution, Some(&coverage), total)
     };
     if let Some(s) = of_fit {
         eprintln!("scale: ± {:.4} % from the fit, ± {:.4} % from the board's pitch", 100.0 * s, a.pitch_sigma_percent);
@@ -100,7 +92,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     if let Some(file) = &a.out {
         let surveyed = Calibration::read(file).is_ok_and(|c| c.station_from_camera.is_some());
         let kept = keep(file, &calibration, a.force)
-            .inspect_err(|_| eprint!("{}", report::table(&solution, &coverage, total)))?;
+            .inspect_err(|_| eprint!("{}", report::table(&solution, Some(&coverage), total)))?;
         kept.iter().for_each(|old| eprintln!("{}: the one before", old.display()));
         if surveyed {
             eprintln!("warning: the datum survey is not carried over: repeat `datum calibrate station`");

@@ -1,5 +1,6 @@
 //! A solved calibration for people and for programs (formats.md §7).
 
+use super::input::LeftOut;
 use crate::calibrate::{Coverage, PARAMETERS, Solution, ViewReport};
 use crate::optics::Lens;
 use serde_json::{Value, json};
@@ -27,12 +28,12 @@ pub(super) fn rig(camera: &Lens, rig: Option<&crate::Rig>) -> serde_json::Map<St
 }
 
 /// All that `calibrate camera` and `calibrate projector` print with --json; without `coverage` where the field is not known.
-pub(super) fn json<'a>(
+pub(super) fn json(
     s: &Solution,
-    coverage: impl Into<Option<&'a Coverage>>,
+    coverage: Option<&Coverage>,
     scale_sigma_percent: Option<f64>,
+    left_out: &[LeftOut],
 ) -> Value {
-    let coverage = coverage.into();
     let joint = s.rig();
     let mut out = rig(&s.devices[0].lens, joint.as_ref());
     out["camera"]["skew"] = json!(s.devices[0].skew);
@@ -58,7 +59,8 @@ pub(super) fn json<'a>(
             "rejected_points": v.rejected,
         })
     };
-    out.insert("views".into(), s.views.iter().map(view).collect());
+    let unseen = |l: &LeftOut| json!({"name": l.name, "rms_px": null, "projector_rms_px": null, "used": false, "rejected_points": null, "detail": l.detail});
+    out.insert("views".into(), s.views.iter().map(view).chain(left_out.iter().map(unseen)).collect());
     out.insert("leave_one_out_rms_px".into(), json!(s.leave_one_out_rms_px));
     let kabsch = |v: &ViewReport| v.held_out.map(|h| json!({"name": v.name, "rms_mm": h.rms_mm, "scale": h.scale}));
     out.insert("kabsch".into(), s.views.iter().filter_map(kabsch).collect());
@@ -78,11 +80,7 @@ fn principal_point(l: &Lens, sigmas: [f64; 2]) -> String {
 }
 
 /// The same for a person.
-pub(super) fn table<'a>(
-    s: &Solution,
-    coverage: impl Into<Option<&'a Coverage>>,
-    scale_sigma_percent: Option<f64>,
-) -> String {
+pub(super) fn table(s: &Solution, coverage: Option<&Coverage>, scale_sigma_percent: Option<f64>) -> String {
     let mut out = String::new();
     let std = s.parameter_covariance();
     for (k, (device, name)) in s.devices.iter().zip(["camera", "projector"]).enumerate() {
@@ -144,7 +142,7 @@ pub(super) fn table<'a>(
     if let Some(scale) = scale_sigma_percent {
         let _ = writeln!(out, "scale     from the board alone, ± {scale:.4} %");
     }
-    if let Some(coverage) = coverage.into() {
+    if let Some(coverage) = coverage {
         let _ = writeln!(out, "coverage  {:.0} % of the field", 100.0 * coverage.share);
         for m in &coverage.missing {
             let _ = writeln!(out, "          missing: {m}");
