@@ -14,6 +14,7 @@ pub mod contour;
 pub mod document;
 pub mod fringe;
 pub mod geometry;
+pub mod hal;
 pub mod image;
 pub mod measure;
 pub mod optics;

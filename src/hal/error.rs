@@ -1,0 +1,92 @@
+//! What can be wrong with a device, as far as the station can act on it.
+
+use std::io;
+use std::time::Duration;
+
+/// Why a device did not do what was asked. `device` is its name in the configuration.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The device does not answer, or is no longer there. Calls keep failing until it is back; then they work again,
+    /// with the settings it had.
+    #[error("{device}: gone")]
+    Gone {
+        /// The device.
+        device: String,
+    },
+    /// No image came in time.
+    #[error("{device}: no image within {waited:?}")]
+    NoImage {
+        /// The device.
+        device: String,
+        /// The timeout.
+        waited: Duration,
+    },
+    /// An image broke off.
+    #[error("{device}: an image of {rows} rows, allowed: {of}")]
+    HalfImage {
+        /// The device.
+        device: String,
+        /// Rows that came.
+        rows: usize,
+        /// Rows of the sensor.
+        of: usize,
+    },
+    /// A buffer or a picture of another size than the device's.
+    #[error("{device}: {what} of {}×{} px, allowed: {}×{} px", found.0, found.1, allowed.0, allowed.1)]
+    Size {
+        /// The device.
+        device: String,
+        /// What has that size.
+        what: &'static str,
+        /// Columns and rows found.
+        found: (usize, usize),
+        /// Columns and rows of the device.
+        allowed: (usize, usize),
+    },
+    /// A picture that was not loaded.
+    #[error("{device}: picture {picture}, allowed: one of the {loaded} loaded")]
+    NotLoaded {
+        /// The device.
+        device: String,
+        /// The picture asked for, counted from 0.
+        picture: usize,
+        /// How many there are.
+        loaded: usize,
+    },
+    /// A setting that means nothing.
+    #[error("{device}: {setting} = {value}, allowed: {allowed}")]
+    Setting {
+        /// The device.
+        device: String,
+        /// The setting.
+        setting: &'static str,
+        /// The value asked for.
+        value: f64,
+        /// What would do.
+        allowed: &'static str,
+    },
+    /// The operating system refused.
+    #[error("{device}: {call} failed")]
+    Call {
+        /// The device.
+        device: String,
+        /// What was called.
+        call: &'static str,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_names_the_device_what_was_found_and_what_is_allowed() {
+        let device = || "projector".to_owned();
+        let size = Error::Size { device: device(), what: "picture", found: (1920, 1080), allowed: (1280, 800) };
+        assert_eq!(size.to_string(), "projector: picture of 1920×1080 px, allowed: 1280×800 px");
+        let e = Error::NotLoaded { device: device(), picture: 16, loaded: 16 };
+        assert_eq!(e.to_string(), "projector: picture 16, allowed: one of the 16 loaded");
+    }
+}
