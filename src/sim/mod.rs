@@ -1,0 +1,31 @@
+//! A simulated station: devices behind the boundary of `hal`, with the faults of the world.
+//! In:  a scene (body, paint, pose), a setup (lenses, lamps), a script of visits and faults. Out: devices that blocks of
+//! the station drive as they would drive real ones, and the truth that no real one tells.
+//! Not here: anything about how images are measured. What is left out of the light: interreflection.
+//!
+//! [`Body`] + [`Paint`] + pose = [`Scene`]; seen by a [`Setup`] it becomes [`Layers`], which give any number of images.
+
+mod body;
+mod lamp;
+mod models;
+mod paint;
+mod plan;
+mod pose;
+mod projector;
+mod random;
+mod render;
+mod scene;
+mod sensor;
+mod setup;
+
+pub use body::{Arch, BUILD_MM, Body, Build, Feature, Style};
+pub use models::names;
+pub use paint::{PAINTS, Paint};
+pub use plan::{Bend, Outline};
+pub use pose::{Deviation, camera_from_vehicle};
+pub use projector::Picture;
+pub use random::Random;
+pub use render::{Layers, Lit};
+pub use scene::{Cover, Scene};
+pub use sensor::{Dirt, Take, expose};
+pub use setup::{DISTANCE_MM, LINE, LONGEST, MAX_GAIN, Setup};
