@@ -1,6 +1,10 @@
 //! A recorded capture: a folder of grey images and the `capture.toml` that says what they show.
 //! In:  the folder. Out: its checked description, and the images one at a time when asked for.
-//! Not here: decoding; what devices do to make a capture.
+//! Not here: decoding. [`record`] makes captures.
+
+mod record;
+
+pub use record::{Devices, Plan, RecordError, SETS, record};
 
 mod fringes;
 

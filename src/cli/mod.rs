@@ -6,6 +6,7 @@ mod measure;
 mod overlay;
 mod patterns;
 mod release;
+mod simulate;
 mod teach;
 
 use anyhow::Context;
@@ -31,6 +32,8 @@ enum Command {
     Calibrate(calibrate::Arguments),
     /// Writes the fringe patterns as PNGs
     Patterns(patterns::Arguments),
+    /// Writes captures of a simulated station, with their truth
+    Simulate(simulate::Arguments),
 }
 
 /// The exit status; an error of [`run`] is bad input.
@@ -55,6 +58,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
         Command::Release(a) => release::run(&a),
         Command::Calibrate(a) => calibrate::run(&a),
         Command::Patterns(a) => patterns::run(&a),
+        Command::Simulate(a) => simulate::run(&a),
     }
 }
 

@@ -109,7 +109,7 @@ pub(super) enum Part {
     Door,
     Bumper,
     Flap,
-    /// The floor or wall of a gap or opening.
+    /// The floor of a gap or opening, and what is behind its hems.
     Gap,
     Tyre,
     Wheelhouse,
@@ -177,7 +177,8 @@ impl Edge {
     fn hit(&self, height: f64, inside: f64) -> Hit {
         let outwards = self.inside.gradient.map(|g| -g);
         if height < self.flush - self.hem {
-            return Hit { part: self.part, height, tilt: (0.0, 1.0, outwards), hem: None }; // the wall
+            // a hem is folded back: behind it there is no painted wall
+            return Hit { part: Part::Gap, height, tilt: (0.0, 1.0, outwards), hem: None };
         }
         let sin = ((self.hem - inside) / self.hem).clamp(0.0, 1.0);
         let hem = (sin > 0.0).then_some(self.hem);
@@ -352,6 +353,11 @@ impl Body {
         out.push(Feature { class: 3, truth: "cap_centre", at: lifted(self.hole.0) });
         out.push(Feature { class: 4, truth: "arch_top", at: lifted(self.arch.at(0.0)) });
         out
+    }
+
+    /// One body of this model that differs from the drawing by `build`.
+    pub fn built(self, build: Build) -> Self {
+        Self { build, ..self }
     }
 
     /// Whether the flap is an ellipse.

@@ -6,9 +6,12 @@
 //! [`Body`] + [`Paint`] + pose = [`Scene`]; seen by a [`Setup`] it becomes [`Layers`], which give any number of images.
 
 mod body;
+mod fault;
+mod files;
 mod lamp;
 mod models;
 mod paint;
+mod picture;
 mod plan;
 mod pose;
 mod projector;
@@ -17,10 +20,14 @@ mod render;
 mod scene;
 mod sensor;
 mod setup;
+mod station;
 
 pub use body::{Arch, BUILD_MM, Body, Build, Feature, Style};
+pub use fault::{Cue, Fault, Script, When};
+pub use files::{calibration, features, in_image, seen, truth};
 pub use models::names;
 pub use paint::{PAINTS, Paint};
+pub use picture::picture;
 pub use plan::{Bend, Outline};
 pub use pose::{Deviation, camera_from_vehicle};
 pub use projector::Picture;
@@ -29,3 +36,4 @@ pub use render::{Layers, Lit};
 pub use scene::{Cover, Scene};
 pub use sensor::{Dirt, Take, expose};
 pub use setup::{DISTANCE_MM, LINE, LONGEST, MAX_GAIN, Setup};
+pub use station::{Bars, Camera, Clock, Presence, Projector, Station, Visit};

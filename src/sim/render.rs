@@ -52,13 +52,24 @@ pub struct Layers {
 const ONE_BEAM_PX: f64 = 2.5;
 
 impl Layers {
-    /// Looks at `scene` through every pixel of `setup`.
-    pub fn new(scene: &Scene, setup: &Setup) -> Self {
-        let stage = scene.stage(setup);
+    /// Looks at `scene` through every pixel of `setup`, whose projector has been turned by `bumped` degrees about its
+    /// vertical axis.
+    pub fn new(scene: &Scene, setup: &Setup, bumped: f64) -> Self {
+        let stage = scene.stage(setup, bumped);
         let lens = &setup.rig.camera;
         let rays = setup.rays();
         let rows = (0..lens.height).into_par_iter().map(|y| row(&stage, setup, &rays[y * lens.width..][..lens.width]));
         Self { rows: rows.collect(), glitter: scene.paint.glitter }
+    }
+
+    /// The hall without a vehicle: a dim wall far away.
+    pub fn empty(setup: &Setup) -> Self {
+        let lens = &setup.rig.camera;
+        let dark = Beam { weight: 0.0, column: 0.0, row: 0.0 };
+        let n = lens.width;
+        let wall = (0.1 * setup.room_luminance) as f32;
+        let row = Row { bars: vec![[0.0; 2]; n], ambient: vec![wall; n], beams: vec![dark; n], further: Vec::new() };
+        Self { rows: vec![row; lens.height], glitter: 0.0 }
     }
 
     /// Electrons that `lit` gives in `exposure`, for every pixel of row `y`, before the lens blurs them.

@@ -5,10 +5,11 @@ use super::body::{Body, Hit, Part, Plan};
 use super::lamp::{Lamp, fresnel, room};
 use super::paint::{COAT_ROUGHNESS, GAP_FLOOR, LINING, Paint, RUBBER};
 use super::plan::Xz;
+use super::pose::{Deviation, camera_from_vehicle};
 use super::random::Random;
 use super::setup::Setup;
 use crate::geometry::{Pose, frame};
-use nalgebra::Vector3;
+use nalgebra::{Rotation3, Vector3};
 
 type V = Vector3<f64>;
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
@@ -71,13 +72,22 @@ struct Spot {
 }
 
 impl Scene {
-    /// The scene, ready for many lines of sight.
-    pub(super) fn stage<'a>(&'a self, setup: &'a Setup) -> Stage<'a> {
+    /// A vehicle of `body` and `paint` that stands `deviation` beside where it should.
+    pub fn new(body: Body, paint: Paint, deviation: &Deviation) -> Self {
+        let camera_from_vehicle = camera_from_vehicle(&body, deviation);
+        Self { body, paint, camera_from_vehicle, cover: None }
+    }
+
+    /// The scene, ready for many lines of sight; the projector turned by `bumped` degrees about its vertical axis.
+    pub(super) fn stage<'a>(&'a self, setup: &'a Setup, bumped: f64) -> Stage<'a> {
         let eye = self.camera_from_vehicle.inverse();
-        let projector = setup.rig.projector_from_camera.inverse().t;
+        let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), bumped.to_radians());
+        let projector_from_camera =
+            Pose::<frame::Projector, frame::Projector>::new(turn, V::zeros()) * setup.rig.projector_from_camera;
+        let projector = projector_from_camera.inverse().t;
         let lit_from = std::iter::once(projector).chain(setup.bars.iter().chain(&setup.tubes).map(Lamp::middle));
         let lamps = lit_from.map(|p| eye.r * p + eye.t).collect();
-        Stage { scene: self, setup, origin: eye.t, eye, projector, lamps }
+        Stage { scene: self, setup, origin: eye.t, eye, projector_from_camera, projector, lamps }
     }
 }
 
@@ -88,6 +98,7 @@ pub(super) struct Stage<'a> {
     /// The camera in the vehicle frame.
     origin: V,
     eye: Pose<frame::Vehicle, frame::Camera>,
+    projector_from_camera: Pose<frame::Projector, frame::Camera>,
     /// The projector's lens in the camera frame.
     projector: V,
     /// Middles of projector, bars and tubes in the vehicle frame.
@@ -250,7 +261,7 @@ impl Stage<'_> {
         let coat =
             paint.map_or(0.0, |p| fresnel(facing) * room(-mirror.y) + p.flakes.map_or(0.0, |f| f.0 * room(-n.y)));
         glow.ambient += spot.open * setup.room_luminance * (white * room(-0.67 * n.y) + coat);
-        let in_projector = setup.rig.projector_from_camera.r * p + setup.rig.projector_from_camera.t;
+        let in_projector = self.projector_from_camera.r * p + self.projector_from_camera.t;
         if let Some(pixel) = setup.rig.projector.project(&in_projector)
             && reaches(0)
         {

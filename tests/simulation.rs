@@ -1,0 +1,454 @@
+//! The simulated station as a device: what each fault looks like at the boundary, that a seed says everything, and that
+//! what it shows can be taught and measured.
+//!
+//! The table of many vehicles is asked for: `DATUM_VEHICLES=200 cargo test --release --test simulation many -- --nocapture`
+
+#![expect(clippy::print_stdout, reason = "tables to read are half of what this is for")]
+
+mod common;
+
+use common::{CameraFromVehicle, over_sigma, pose, rms};
+use datum::capture::{Devices, Plan, RecordError, SETS, record};
+use datum::hal::{Camera, Clock, Error, LightBars, Pool, Presence, Projector};
+use datum::image::Image;
+use datum::measure::{Measurement, Measurer, Verdict, measure, teach};
+use datum::sim::{
+    self, Body, Build, Cover, Cue, Deviation, Dirt, Fault, PAINTS, Paint, Random, Scene, Script, Setup, Station, Visit,
+    When,
+};
+use datum::{Capture, Point3, Pose, frame};
+use nalgebra::{Vector3, Vector6};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+const SECOND: Duration = Duration::from_secs(1);
+
+fn ms(n: u64) -> Duration {
+    Duration::from_millis(n)
+}
+
+fn suv() -> (Body, Paint, Deviation) {
+    (Body::named("suv-a").expect("listed"), Paint::named("white").expect("listed"), Deviation::default())
+}
+
+fn small() -> Arc<Setup> {
+    Arc::new(Setup::new(0.25, 8))
+}
+
+fn station(script: Vec<Cue>) -> Station {
+    Station::with_vehicle(small(), 7, suv(), Script(script))
+}
+
+fn always(fault: Fault) -> Vec<Cue> {
+    vec![Cue { when: When::Always, fault }]
+}
+
+fn on_image(number: u64, fault: Fault) -> Vec<Cue> {
+    vec![Cue { when: When::Image(number), fault }]
+}
+
+/// An image with the bars at 0.6, taken with 2 ms.
+fn red(station: &Station) -> Image<u16> {
+    station.bars().set([0.6, 0.6]).expect("bars");
+    grab(station)
+}
+
+fn grab(station: &Station) -> Image<u16> {
+    let mut camera = station.camera();
+    let mut image = Pool::new(camera.sensor(), 1).take().expect("one");
+    camera.grab(SECOND, &mut image).expect("an image");
+    image.clone()
+}
+
+/// An image of a picture: bright to the left of the middle.
+fn half_lit(station: &Station) -> Image<u16> {
+    let mut projector = station.projector();
+    let (width, height) = projector.size();
+    let mut picture = Image::filled(width, height, 0);
+    (0..height).for_each(|y| picture.row_mut(y)[..width / 2].fill(255));
+    projector.load(&[picture, Image::filled(width, height, 0)]).expect("fits");
+    projector.show(Some(1)).expect("loaded");
+    projector.show(Some(0)).expect("loaded");
+    grab(station)
+}
+
+fn mean(image: &Image<u16>, columns: std::ops::Range<usize>) -> f64 {
+    let rows = image.height / 3..image.height / 2;
+    let n = (rows.len() * columns.len()) as f64;
+    rows.flat_map(|y| columns.clone().map(move |x| f64::from(image.at(x, y)))).sum::<f64>() / n
+}
+
+fn middle(image: &Image<u16>) -> f64 {
+    mean(image, image.width * 2 / 5..image.width * 3 / 5)
+}
+
+#[test]
+fn the_camera_takes_whole_lines_and_a_bounded_gain() {
+    let station = station(Vec::new());
+    let mut camera = station.camera();
+    let taken = camera.set_exposure(Duration::from_micros(1_000)).expect("in range");
+    assert_eq!(taken, sim::LINE * 67);
+    assert_eq!(camera.set_exposure(SECOND).expect("clamped"), sim::LONGEST);
+    assert_eq!(camera.set_gain(100.0).expect("clamped"), sim::MAX_GAIN);
+    assert_eq!(camera.set_gain(1.5).expect("in range"), 1.5);
+    let e = camera.set_gain(f64::NAN).expect_err("no number").to_string();
+    assert_eq!(e, "camera: gain = NaN, allowed: a number of at least 1");
+    let e = camera.grab(SECOND, &mut Image::filled(10, 10, 0)).expect_err("too small").to_string();
+    assert_eq!(e, "camera: buffer of 10×10 px, allowed: 648×486 px");
+    assert!((station.bars().set([0.12345, 1.0]).expect("in range")[0] - 0.123).abs() < 1e-12);
+    assert!(station.bars().set([1.1, 0.0]).is_err());
+}
+
+#[test]
+fn the_same_seed_gives_the_same_images_whatever_the_threads() {
+    let taken = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| half_lit(&station(Vec::new())))
+    };
+    let one = taken(1);
+    assert!(one == taken(3), "threads changed an image");
+    assert!(one != half_lit(&Station::with_vehicle(small(), 8, suv(), Script::default())), "another seed, other noise");
+}
+
+#[test]
+fn ten_bits_show_the_same_light_more_finely() {
+    let ten = Station::with_vehicle(Arc::new(Setup::new(0.25, 10)), 7, suv(), Script::default());
+    let (eight, ten) = (red(&station(Vec::new())), red(&ten));
+    assert!((middle(&ten) / middle(&eight) - 1023.0 / 255.0).abs() < 0.01);
+    assert!(ten.pixels.iter().any(|v| *v == 1023) && ten.pixels.iter().all(|v| *v <= 1023));
+}
+
+#[test]
+fn a_dropped_image_shows_in_the_numbers_and_takes_its_time() {
+    let station = station(on_image(2, Fault::ImageDropped));
+    let (mut camera, clock) = (station.camera(), station.clock());
+    let mut image = Pool::new(camera.sensor(), 1).take().expect("one");
+    let first = camera.grab(SECOND, &mut image).expect("an image");
+    let one = clock.now();
+    let second = camera.grab(SECOND, &mut image).expect("the next");
+    assert_eq!((first.sequence, second.sequence), (1, 3));
+    assert_eq!(clock.now(), one * 3);
+}
+
+#[test]
+fn a_doubled_image_has_its_old_number() {
+    let station = station(on_image(2, Fault::ImageDoubled));
+    let mut camera = station.camera();
+    let pool = Pool::new(camera.sensor(), 2);
+    let (mut a, mut b) = (pool.take().expect("two"), pool.take().expect("one"));
+    let first = camera.grab(SECOND, &mut a).expect("an image");
+    assert_eq!(camera.grab(SECOND, &mut b).expect("it again"), first);
+    assert!(a.pixels == b.pixels);
+    assert_eq!(camera.grab(SECOND, &mut b).expect("the next").sequence, 3);
+}
+
+#[test]
+fn a_late_image_is_waited_for_or_never_seen() {
+    let station = station(on_image(1, Fault::ImageLate(ms(100))));
+    let mut camera = station.camera();
+    let mut image = Pool::new(camera.sensor(), 1).take().expect("one");
+    let e = camera.grab(ms(50), &mut image).expect_err("too late");
+    assert!(matches!(e, Error::NoImage { waited, .. } if waited == ms(50)), "{e}");
+    let next = camera.grab(ms(50), &mut image).expect("the next starts clean");
+    assert!(next.sequence == 2 && next.begun_at >= ms(50));
+    let patient = self::station(on_image(1, Fault::ImageLate(ms(100))));
+    assert!(patient.camera().grab(ms(200), &mut image).is_ok() && patient.clock().now() > ms(100));
+}
+
+#[test]
+fn half_an_image_is_an_error_and_the_next_one_whole() {
+    let station = station(on_image(1, Fault::ImageHalf));
+    let mut camera = station.camera();
+    let mut image = Pool::new(camera.sensor(), 1).take().expect("one");
+    let e = camera.grab(SECOND, &mut image).expect_err("half");
+    assert_eq!(e.to_string(), "camera: an image of 243 rows, allowed: 486");
+    assert!(camera.grab(SECOND, &mut image).is_ok());
+}
+
+#[test]
+fn a_camera_that_is_gone_comes_back_with_its_settings() {
+    let gone = When::Between(ms(100), ms(300));
+    let station = station(vec![Cue { when: gone, fault: Fault::CameraGone }]);
+    let (mut camera, mut clock) = (station.camera(), station.clock());
+    let mut image = Pool::new(camera.sensor(), 1).take().expect("one");
+    let taken = camera.set_exposure(ms(3)).expect("there");
+    clock.sleep(ms(100));
+    assert!(matches!(camera.grab(SECOND, &mut image), Err(Error::Gone { .. })));
+    assert!(matches!(camera.set_exposure(ms(1)), Err(Error::Gone { .. })));
+    clock.sleep(ms(200));
+    assert_eq!(camera.grab(SECOND, &mut image).expect("back").time, taken);
+}
+
+#[test]
+fn a_projector_may_be_silent_or_one_picture_behind() {
+    let good = half_lit(&station(Vec::new()));
+    let (left, right) = (0..good.width / 4, good.width * 3 / 4..good.width);
+    assert!(mean(&good, left.clone()) > 3.0 * mean(&good, right));
+    let dark = half_lit(&station(always(Fault::ProjectorSilent)));
+    let behind = half_lit(&station(always(Fault::ProjectorBehind)));
+    assert!(mean(&dark, left.clone()) < 0.3 * mean(&good, left.clone()));
+    assert!(mean(&behind, left.clone()) < 0.3 * mean(&good, left.clone()), "it shows the dark picture before");
+    assert!(mean(&behind, left.clone()) > mean(&dark, left), "whose black is not quite dark");
+    let e = station(Vec::new()).projector().show(Some(0)).expect_err("nothing loaded").to_string();
+    assert_eq!(e, "projector: picture 0, allowed: one of the 0 loaded");
+}
+
+#[test]
+fn bars_may_die_or_stick() {
+    let good = red(&station(Vec::new()));
+    let dead = red(&station(always(Fault::BarDead(0))));
+    let (left, right) = (0..good.width / 10, good.width * 9 / 10..good.width);
+    let lost = |columns: std::ops::Range<usize>| mean(&dead, columns.clone()) / mean(&good, columns);
+    assert!(lost(left.clone()) < lost(right.clone()) && lost(left) < 0.6, "the left one");
+    let station = station(always(Fault::BarStuck(1, 1.0)));
+    station.bars().set([0.0, 0.0]).expect("taken, as it seems");
+    let stuck = grab(&station);
+    assert!(mean(&stuck, right) > 50.0);
+}
+
+#[test]
+fn the_halls_light_may_step_and_flicker() {
+    let step = When::Between(ms(50), SECOND);
+    let lit = station(vec![Cue { when: step, fault: Fault::Ambient(3.0) }]);
+    let before = middle(&grab(&lit)) - 2.0;
+    lit.clock().sleep(ms(100));
+    assert!(((middle(&grab(&lit)) - 2.0) / before - 3.0).abs() < 0.1);
+    let flickering = station(always(Fault::Flicker(0.5)));
+    let levels: Vec<f64> = (0..8)
+        .map(|_| {
+            flickering.clock().sleep(Duration::from_micros(1_700));
+            middle(&grab(&flickering))
+        })
+        .collect();
+    let (low, high) = levels.iter().fold((f64::MAX, 0f64), |(l, h), v| (l.min(*v), h.max(*v)));
+    assert!(high > 1.3 * low, "{levels:?}");
+    // a whole period holds the mean
+    flickering.camera().set_exposure(ms(10)).expect("in range");
+    let (a, b) = (middle(&grab(&flickering)), middle(&grab(&flickering)));
+    assert!((a / b - 1.0).abs() < 0.01, "{a} {b}");
+}
+
+#[test]
+fn what_stands_there_may_rock_be_wrong_be_covered_or_be_seen_through_dirt() {
+    let good = red(&station(Vec::new()));
+    let differs = |other: &Image<u16>| {
+        let apart = |(a, b): (&u16, &u16)| a.abs_diff(*b) > 15;
+        good.pixels.iter().zip(&other.pixels).filter(|p| apart(*p)).count() as f64 / good.pixels.len() as f64
+    };
+    assert!(differs(&red(&station(Vec::new()))) == 0.0);
+    let rocking = station(always(Fault::Rocking(0.5)));
+    rocking.clock().sleep(ms(100));
+    let other = Fault::WrongVehicle(Box::new(Body::named("suv-c").expect("listed")));
+    let cover = Cover { centre: [-2618.0, 874.0], half: [60.0, 60.0] };
+    let dirt = Dirt { smudges: vec![([0.4, 0.4], 0.2, 0.5)], veil: 0.05 };
+    assert!(differs(&red(&rocking)) > 0.01, "edges have moved");
+    assert!(differs(&red(&station(always(other)))) > 0.03);
+    assert!((0.01..0.2).contains(&differs(&red(&station(always(Fault::Covered(cover)))))));
+    assert!(differs(&red(&station(always(Fault::DirtyLens(dirt))))) > 0.05);
+}
+
+#[test]
+fn a_pushed_projector_shifts_its_picture_on_the_body() {
+    let edge = |image: &Image<u16>| {
+        let row = image.row(40); // above the flap, to the right of the door
+        let level = u32::from(row[250]) / 2;
+        (250..image.width).find(|x| u32::from(row[*x]) < level).expect("the picture's edge")
+    };
+    let (good, bumped) = (half_lit(&station(Vec::new())), half_lit(&station(always(Fault::Bumped(1.0)))));
+    // 1° at 0.78 m are 13.6 mm, 11 to 13 px here
+    assert!((8..18).contains(&edge(&good).abs_diff(edge(&bumped))), "{} {}", edge(&good), edge(&bumped));
+}
+
+#[test]
+fn vehicles_arrive_stop_stay_and_leave() {
+    let (body, paint, deviation) = suv();
+    let visit = |stops, leaves| Visit { body: body.clone(), paint, deviation, stops, leaves };
+    let visits = vec![visit(SECOND * 20, SECOND * 30), visit(SECOND * 60, SECOND * 70)];
+    let station = Station::new(small(), 1, visits, Script::default());
+    let (mut presence, clock) = (station.presence(), station.clock());
+    assert!(station.truth().is_none() && !presence.wait(true, SECOND).expect("answers"));
+    assert!(presence.wait(true, SECOND * 30).expect("answers"));
+    assert!((19.9..20.0).contains(&clock.now().as_secs_f64()), "{:?}", clock.now());
+    let still = |n| {
+        station.clock().sleep(ms(n));
+        station.truth().expect("there").t
+    };
+    assert!(still(0) != still(20), "still rolling");
+    assert!(still(100) == still(500), "stands");
+    assert!(!presence.wait(false, SECOND * 60).expect("answers"));
+    assert!((30.0..30.2).contains(&clock.now().as_secs_f64()));
+    assert!(presence.wait(true, SECOND * 60).expect("answers") && clock.now() < SECOND * 60);
+}
+
+/// A folder of the test's own.
+fn folder(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join("simulation").join(name)
+}
+
+/// Records what stands at `station`.
+fn recorded(station: &Station, folder: &Path) -> Result<Capture, RecordError> {
+    let (mut camera, mut projector, mut bars) = (station.camera(), station.projector(), station.bars());
+    let mut devices = Devices { camera: &mut camera, projector: &mut projector, bars: &mut bars };
+    let plan = Plan { bars: [0.6; 2], sets: SETS.to_vec(), taken_at: "2000-01-01T00:00:00Z".into() };
+    record(&mut devices, &plan, folder)
+}
+
+/// A model of `body`, taught as drawn and as it should stand; through its files, as at a station.
+fn taught(setup: &Arc<Setup>, body: &Body, paint: Paint, seed: u64, name: &str) -> Result<Measurer, String> {
+    let stands = (body.clone(), paint, Deviation::default());
+    let scene = Scene::new(body.clone(), paint, &stands.2);
+    let features = sim::features(&scene, setup).ok_or("a feature is out of the image")?;
+    let station = Station::with_vehicle(Arc::clone(setup), seed, stands, Script::default());
+    let capture = recorded(&station, &folder(name).join("taught")).map_err(|e| e.to_string())?;
+    let calibration = sim::calibration(setup);
+    let taught = teach(&capture, &calibration, &features, "model").map_err(|e| e.to_string())?;
+    for (feature, template) in taught.model.features.iter().zip(&taught.templates) {
+        let file = feature.template.as_ref().expect("taught");
+        std::fs::write(folder(name).join(file), template.to_bytes()).expect("writable");
+    }
+    let file = folder(name).join("model.toml");
+    taught.model.write(&file).expect("writable");
+    Ok(Measurer::new(calibration, datum::VehicleFile::read(&file).expect("just written")).expect("templates"))
+}
+
+fn measured(measurer: &Measurer, capture: &Capture) -> Measurement {
+    measure(measurer, capture, &mut |_| {}).expect("readable").0
+}
+
+/// Error of a measured pose: x, y, z (mm, of the features' centroid) and rotation vector (rad), vehicle axes.
+fn error(m: &Measurement, truth: &CameraFromVehicle) -> Option<Vector6<f64>> {
+    let motion: Pose<frame::Vehicle, frame::Vehicle> = truth.inverse() * pose(m)?;
+    let at = Point3::new(Vector3::from(m.covariance_at_mm?));
+    let (t, r) = ((motion * at) - at, motion.r.scaled_axis());
+    Some(Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z))
+}
+
+/// The README's example for integrators: a scene of one's own, a fault of one's own.
+#[test]
+fn a_vehicle_that_rocks_is_not_measured() {
+    // a small image, so that it is quick; a body of one's own would be Body::random(seed)
+    let setup = Arc::new(Setup::new(0.25, 8));
+    let (body, paint) = (Body::named("suv-b").expect("listed"), Paint::named("silver").expect("listed"));
+    let measurer = taught(&setup, &body, paint, 1, "rocks").expect("a good capture");
+
+    // the same model, another body of it, 20 mm farther on and turned by 3°
+    let stands = Deviation { along_mm: 20.0, yaw_deg: 3.0, ..Deviation::default() };
+    let built = body.built(Build::random(&mut Random::new(5, &[])));
+    let calm = Station::with_vehicle(Arc::clone(&setup), 2, (built.clone(), paint, stands), Script::default());
+    let capture = recorded(&calm, &folder("rocks").join("calm")).expect("devices work");
+    let m = measured(&measurer, &capture);
+    assert_eq!(m.verdict, Verdict::Ok, "{}", m.detail);
+    let off = error(&m, &calm.truth().expect("it stands there")).expect("a pose");
+    assert!(off.fixed_rows::<3>(0).norm() < 0.3, "{off} mm and rad at 1.2 mm per pixel");
+
+    let rocking = Script(vec![Cue { when: When::Always, fault: Fault::Rocking(0.05) }]);
+    let station = Station::with_vehicle(setup, 3, (built, paint, stands), rocking);
+    let capture = recorded(&station, &folder("rocks").join("rocking")).expect("devices work");
+    assert_eq!(measured(&measurer, &capture).verdict, Verdict::NotMeasurable);
+}
+
+#[test]
+fn a_recording_does_not_hide_a_lost_image() {
+    let lost = station(on_image(12, Fault::ImageDropped));
+    let e = recorded(&lost, &folder("lost")).expect_err("one is missing").to_string();
+    assert!(e.contains("allowed: the next"), "{e}");
+}
+
+/// What became of one vehicle.
+struct Row {
+    name: String,
+    paint: &'static str,
+    deviation: Deviation,
+    in_view: bool,
+    said: String,
+    ok: bool,
+    error: Option<Vector6<f64>>,
+    over: Option<Vector6<f64>>,
+    wrong: bool,
+}
+
+/// One vehicle in one pose, with a model taught on a body as drawn, of the same paint or of white.
+fn vehicle(setup: &Arc<Setup>, k: u64) -> Row {
+    let mut random = Random::new(4711, &[k]);
+    let names: Vec<&str> = sim::names().collect();
+    let body = match random.below(2) {
+        0 => Body::named(names[random.below(names.len())]).expect("listed"),
+        _ => Body::random(random.bits() >> 32),
+    };
+    let paint = PAINTS[random.below(PAINTS.len())];
+    let deviation = Deviation::random(&mut random);
+    let built = body.clone().built(Build::random(&mut random));
+    let scene = Scene::new(built.clone(), paint, &deviation);
+    let in_view = sim::features(&scene, setup).is_some();
+    let name = format!("many-{k}");
+    let (mut ok, mut off, mut over, mut wrong) = (false, None, None, false);
+    let said = match taught(setup, &body, PAINTS[0], k, &name) {
+        Err(e) => format!("teach: {e}"),
+        Ok(measurer) => {
+            let station = Station::with_vehicle(Arc::clone(setup), k + 1, (built, paint, deviation), Script::default());
+            let capture = recorded(&station, &folder(&name).join("measured")).expect("devices work");
+            let m = measured(&measurer, &capture);
+            ok = m.verdict == Verdict::Ok;
+            off = error(&m, &scene.camera_from_vehicle);
+            over = off.map(|e| over_sigma(&e, &m));
+            wrong = off.is_some_and(|e| e.fixed_rows::<3>(0).norm() > 0.5 || e[5].abs().to_degrees() > 0.15);
+            format!("{} {}", m.verdict.name(), m.detail)
+        }
+    };
+    let _ = std::fs::remove_dir_all(folder(&name)); // 40 MB a vehicle
+    Row { name: body.name, paint: paint.name, deviation, in_view, said, ok, error: off, over, wrong }
+}
+
+#[test]
+fn many_vehicles_are_measured() {
+    let asked = std::env::var("DATUM_VEHICLES").ok();
+    let Some(n) = asked.and_then(|n| n.parse::<u64>().ok()) else {
+        eprintln!("skipped: DATUM_VEHICLES not set");
+        return;
+    };
+    let setup = Arc::new(Setup::new(0.5, 8));
+    let rows: Vec<Row> = (0..n)
+        .map(|k| {
+            let row = vehicle(&setup, k);
+            let d = &row.deviation;
+            print!(
+                "{k:3} {:16} {:6} yaw {:+5.1} x {:+3.0} y {:+3.0}",
+                row.name, row.paint, d.yaw_deg, d.along_mm, d.across_mm
+            );
+            if let (Some(e), Some(over)) = (&row.error, &row.over) {
+                let deg = e.fixed_rows::<3>(3).map(f64::to_degrees);
+                print!("  mm {:+.3} {:+.3} {:+.3}  ° {:+.4} {:+.4} {:+.4}", e[0], e[1], e[2], deg[0], deg[1], deg[2]);
+                print!("  rms/σ {:.2}", rms(over.iter().copied()));
+            }
+            println!(
+                "  {}{}{}",
+                if row.in_view { "" } else { "(not all in view) " },
+                if row.wrong { "WRONG " } else { "" },
+                row.said
+            );
+            row
+        })
+        .collect();
+    let needed: Vec<&Row> = rows.iter().filter(|r| r.in_view).collect();
+    let ok: Vec<&&Row> = needed.iter().filter(|r| r.ok).collect();
+    let errors = || ok.iter().filter_map(|r| r.error.as_ref());
+    let largest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+    let wrong = rows.iter().filter(|r| r.ok && r.wrong).count();
+    let given = rows.iter().filter(|r| r.ok).count();
+    println!("\n{n} vehicles, {} with all features in view:", needed.len());
+    println!("    measured ok              {} ({:.1} %)", ok.len(), 100.0 * ok.len() as f64 / needed.len() as f64);
+    println!(
+        "    rotation, largest        {:.4}°",
+        largest(&mut errors().map(|e| e.fixed_rows::<3>(3).amax().to_degrees()))
+    );
+    println!("    centroid, largest        {:.3} mm", largest(&mut errors().map(|e| e.fixed_rows::<3>(0).norm())));
+    let over = ok.iter().filter_map(|r| r.over.as_ref()).flat_map(|o| o.iter().copied());
+    println!("    error over sigma, rms    {:.2}", rms(over));
+    // with none of n wrong, 1 − 0.05^(1/n) is the 95 % bound
+    println!(
+        "    wrong poses called ok    {wrong} of {given} (none: below {:.1} % with 95 %)",
+        100.0 * (1.0 - 0.05f64.powf(1.0 / given.max(1) as f64))
+    );
+    assert_eq!(wrong, 0, "a wrong pose was called ok");
+}
