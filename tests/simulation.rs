@@ -1,7 +1,9 @@
 //! The simulated station as a device: what each fault looks like at the boundary, that a seed says everything, and that
 //! what it shows can be taught and measured.
 //!
-//! The table of many vehicles is asked for: `DATUM_VEHICLES=200 cargo test --release --test simulation many -- --nocapture`
+//! The table of many vehicles is asked for: `DATUM_VEHICLES=200 cargo test --release --test simulation many -- --nocapture`.
+//! `DATUM_BARS_MM=1050` sets the bars so far out that no pose mirrors them on a feature; `DATUM_REPEAT=1` repeats the
+//! first fringe image at the end.
 
 #![expect(clippy::print_stdout, reason = "tables to read are half of what this is for")]
 
@@ -116,7 +118,7 @@ fn ten_bits_show_the_same_light_more_finely() {
     let ten = Station::with_vehicle(Arc::new(Setup::new(0.25, 10)), 7, suv(), Script::default());
     let (eight, ten) = (red(&station(Vec::new())), red(&ten));
     assert!((middle(&ten) / middle(&eight) - 1023.0 / 255.0).abs() < 0.01);
-    assert!(ten.pixels.iter().any(|v| *v == 1023) && ten.pixels.iter().all(|v| *v <= 1023));
+    assert!(ten.pixels.contains(&1023) && ten.pixels.iter().all(|v| *v <= 1023));
 }
 
 #[test]
@@ -287,10 +289,10 @@ fn folder(name: &str) -> PathBuf {
 }
 
 /// Records what stands at `station`.
-fn recorded(station: &Station, folder: &Path) -> Result<Capture, RecordError> {
+fn recorded(station: &Station, repeat: bool, folder: &Path) -> Result<Capture, RecordError> {
     let (mut camera, mut projector, mut bars) = (station.camera(), station.projector(), station.bars());
     let mut devices = Devices { camera: &mut camera, projector: &mut projector, bars: &mut bars };
-    let plan = Plan { bars: [0.6; 2], sets: SETS.to_vec(), taken_at: "2000-01-01T00:00:00Z".into() };
+    let plan = Plan { bars: [0.6; 2], sets: SETS.to_vec(), repeat, taken_at: "2000-01-01T00:00:00Z".into() };
     record(&mut devices, &plan, folder)
 }
 
@@ -300,7 +302,7 @@ fn taught(setup: &Arc<Setup>, body: &Body, paint: Paint, seed: u64, name: &str) 
     let scene = Scene::new(body.clone(), paint, &stands.2);
     let features = sim::features(&scene, setup).ok_or("a feature is out of the image")?;
     let station = Station::with_vehicle(Arc::clone(setup), seed, stands, Script::default());
-    let capture = recorded(&station, &folder(name).join("taught")).map_err(|e| e.to_string())?;
+    let capture = recorded(&station, false, &folder(name).join("taught")).map_err(|e| e.to_string())?;
     let calibration = sim::calibration(setup);
     let taught = teach(&capture, &calibration, &features, "model").map_err(|e| e.to_string())?;
     for (feature, template) in taught.model.features.iter().zip(&taught.templates) {
@@ -336,7 +338,7 @@ fn a_vehicle_that_rocks_is_not_measured() {
     let stands = Deviation { along_mm: 20.0, yaw_deg: 3.0, ..Deviation::default() };
     let built = body.built(Build::random(&mut Random::new(5, &[])));
     let calm = Station::with_vehicle(Arc::clone(&setup), 2, (built.clone(), paint, stands), Script::default());
-    let capture = recorded(&calm, &folder("rocks").join("calm")).expect("devices work");
+    let capture = recorded(&calm, true, &folder("rocks").join("calm")).expect("devices work");
     let m = measured(&measurer, &capture);
     assert_eq!(m.verdict, Verdict::Ok, "{}", m.detail);
     let off = error(&m, &calm.truth().expect("it stands there")).expect("a pose");
@@ -344,14 +346,14 @@ fn a_vehicle_that_rocks_is_not_measured() {
 
     let rocking = Script(vec![Cue { when: When::Always, fault: Fault::Rocking(0.05) }]);
     let station = Station::with_vehicle(setup, 3, (built, paint, stands), rocking);
-    let capture = recorded(&station, &folder("rocks").join("rocking")).expect("devices work");
+    let capture = recorded(&station, true, &folder("rocks").join("rocking")).expect("devices work");
     assert_eq!(measured(&measurer, &capture).verdict, Verdict::NotMeasurable);
 }
 
 #[test]
 fn a_recording_does_not_hide_a_lost_image() {
     let lost = station(on_image(12, Fault::ImageDropped));
-    let e = recorded(&lost, &folder("lost")).expect_err("one is missing").to_string();
+    let e = recorded(&lost, true, &folder("lost")).expect_err("one is missing").to_string();
     assert!(e.contains("allowed: the next"), "{e}");
 }
 
@@ -369,7 +371,7 @@ struct Row {
 }
 
 /// One vehicle in one pose, with a model taught on a body as drawn, of the same paint or of white.
-fn vehicle(setup: &Arc<Setup>, k: u64) -> Row {
+fn vehicle(setup: &Arc<Setup>, repeat: bool, k: u64) -> Row {
     let mut random = Random::new(4711, &[k]);
     let names: Vec<&str> = sim::names().collect();
     let body = match random.below(2) {
@@ -387,7 +389,7 @@ fn vehicle(setup: &Arc<Setup>, k: u64) -> Row {
         Err(e) => format!("teach: {e}"),
         Ok(measurer) => {
             let station = Station::with_vehicle(Arc::clone(setup), k + 1, (built, paint, deviation), Script::default());
-            let capture = recorded(&station, &folder(&name).join("measured")).expect("devices work");
+            let capture = recorded(&station, repeat, &folder(&name).join("measured")).expect("devices work");
             let m = measured(&measurer, &capture);
             ok = m.verdict == Verdict::Ok;
             off = error(&m, &scene.camera_from_vehicle);
@@ -407,10 +409,15 @@ fn many_vehicles_are_measured() {
         eprintln!("skipped: DATUM_VEHICLES not set");
         return;
     };
-    let setup = Arc::new(Setup::new(0.5, 8));
+    let number = |name| std::env::var(name).ok().and_then(|n| n.parse::<f64>().ok());
+    let mut setup = Setup::new(0.5, 8);
+    if let Some(mm) = number("DATUM_BARS_MM") {
+        setup.place_bars(mm);
+    }
+    let (setup, repeat) = (Arc::new(setup), std::env::var_os("DATUM_REPEAT").is_some());
     let rows: Vec<Row> = (0..n)
         .map(|k| {
-            let row = vehicle(&setup, k);
+            let row = vehicle(&setup, repeat, k);
             let d = &row.deviation;
             print!(
                 "{k:3} {:16} {:6} yaw {:+5.1} x {:+3.0} y {:+3.0}",

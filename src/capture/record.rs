@@ -28,6 +28,8 @@ pub struct Plan {
     pub bars: [f64; 2],
     /// Fringe sets: along which axis, how many periods, how many steps.
     pub sets: Vec<(Axis, u32, u32)>,
+    /// Whether the first fringe image is taken once more at the end, to see whether anything moved.
+    pub repeat: bool,
     /// Date and time of the recording, RFC 3339.
     pub taken_at: String,
 }
@@ -75,7 +77,7 @@ struct Light {
     gain: f64,
 }
 
-/// Records what stands there into `folder`, which is made: red, ambient, all fringes, the first once more.
+/// Records what stands there into `folder`, which is made: red, ambient, all fringes.
 pub fn record(devices: &mut Devices<'_>, plan: &Plan, folder: &Path) -> Result<Capture, RecordError> {
     let sensor = devices.camera.sensor().clone();
     let (width, height) = devices.projector.size();
@@ -100,7 +102,7 @@ pub fn record(devices: &mut Devices<'_>, plan: &Plan, folder: &Path) -> Result<C
     let fringe_light = meter(devices.camera, FRINGE_LEVEL, &mut trial)?;
     drop(trial);
     let mut shots = Vec::new();
-    let order = std::iter::once(None).chain((0..fringes).map(Some)).chain([Some(0)]);
+    let order = std::iter::once(None).chain((0..fringes).map(Some)).chain(plan.repeat.then_some(Some(0)));
     for (k, picture) in order.enumerate() {
         devices.projector.show(picture)?;
         let mut image = buffer();
@@ -149,7 +151,7 @@ pub fn record(devices: &mut Devices<'_>, plan: &Plan, folder: &Path) -> Result<C
         images: Images {
             red: Some("red.png".into()),
             ambient: Some(name(0)),
-            repeat: Some(name(fringes + 1)),
+            repeat: plan.repeat.then(|| name(fringes + 1)),
             red_gain_dn_per_e: gain(red_light),
         },
         projector: super::Projector { width, height },

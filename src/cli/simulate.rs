@@ -35,6 +35,9 @@ pub(super) struct Arguments {
     /// Drive of both bars, 0 to 1
     #[arg(long, value_name = "DRIVE", default_value_t = 0.6)]
     bars: f64,
+    /// How far the bars stand to either side, mm; where the default has them, some poses mirror one on a corner
+    #[arg(long, value_name = "MM", default_value_t = sim::BARS_MM)]
+    bars_at: f64,
     /// Every body exactly as drawn: no door, bumper or flap is off
     #[arg(long)]
     as_drawn: bool,
@@ -71,7 +74,10 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     let known = a.paint == "random" || paints.contains(&a.paint.as_str());
     check.that(known, "--paint", &a.paint, format!("{}, random", paints.join(", ")))?;
     let deviations = deviations(a, check)?;
-    let setup = Arc::new(Setup::new(a.scale, a.bits));
+    check.within("--bars-at", a.bars_at, 300.0..=2000.0)?;
+    let mut setup = Setup::new(a.scale, a.bits);
+    setup.place_bars(a.bars_at);
+    let setup = Arc::new(setup);
 
     let mut written = 0;
     let mut features_written = false;
@@ -91,7 +97,8 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         let station = Station::with_vehicle(Arc::clone(&setup), random.bits(), vehicle, Script::default());
         let (mut camera, mut projector, mut bars) = (station.camera(), station.projector(), station.bars());
         let mut devices = Devices { camera: &mut camera, projector: &mut projector, bars: &mut bars };
-        let plan = Plan { bars: [a.bars; 2], sets: SETS.to_vec(), taken_at: "2000-01-01T00:00:00Z".into() };
+        let plan =
+            Plan { bars: [a.bars; 2], sets: SETS.to_vec(), repeat: true, taken_at: "2000-01-01T00:00:00Z".into() };
         record(&mut devices, &plan, &folder)?;
         let truth = sim::truth(&scene, &setup, &format!("{k:03}"), deviation);
         let mut text = serde_json::to_string_pretty(&truth)?;

@@ -35,5 +35,5 @@ pub use random::Random;
 pub use render::{Layers, Lit};
 pub use scene::{Cover, Scene};
 pub use sensor::{Dirt, Take, expose};
-pub use setup::{DISTANCE_MM, LINE, LONGEST, MAX_GAIN, Setup};
+pub use setup::{BARS_MM, DISTANCE_MM, LINE, LONGEST, MAX_GAIN, Setup};
 pub use station::{Bars, Camera, Clock, Presence, Projector, Station, Visit};

@@ -40,7 +40,7 @@ const DRAWINGS: [Drawing; 10] = [
     Drawing {
         name: "suv-a",
         style: Suv,
-        arch: ([-2640.0, 345.0], 365.0, 2.0, (0.0, 40.0)),
+        arch: ([-2640.0, 345.0], 365.0, 1.8, (0.0, 40.0)),
         corners: [163.876, -140.707],
         door: (129.0, [-0.178, 0.207], 40.0),
         bumper: (61.6, [51.5, 28.3], 8.0),
@@ -50,7 +50,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.6, 3.6, 3.4],
         depth: 5.0,
-        hem: 1.3,
+        hem: 1.4,
         corner_radius: 3.0,
     },
     Drawing {
@@ -66,7 +66,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.8, 3.4, 3.2],
         depth: 4.8,
-        hem: 1.2,
+        hem: 1.3,
         corner_radius: 3.5,
     },
     Drawing {
@@ -98,7 +98,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: Some(([-2706.0, 908.0], Ellipse([7.0, 7.0]))),
         gap: [3.4, 3.6, 2.8],
         depth: 4.2,
-        hem: 1.2,
+        hem: 1.3,
         corner_radius: 3.0,
     },
     Drawing {
@@ -130,7 +130,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.6, 3.2, 3.0],
         depth: 4.4,
-        hem: 1.3,
+        hem: 1.4,
         corner_radius: 2.6,
     },
     Drawing {
@@ -146,7 +146,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.4, 3.4, 2.8],
         depth: 4.4,
-        hem: 1.2,
+        hem: 1.3,
         corner_radius: 3.0,
     },
     Drawing {
@@ -162,7 +162,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.6, 3.4, 3.0],
         depth: 4.6,
-        hem: 1.3,
+        hem: 1.4,
         corner_radius: 3.2,
     },
     Drawing {
@@ -194,7 +194,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: Some(([-2716.0, 868.0], Rounded([10.0, 6.0], 4.0))),
         gap: [3.5, 3.4, 3.1],
         depth: 4.4,
-        hem: 1.25,
+        hem: 1.3,
         corner_radius: 3.0,
     },
 ];
@@ -300,7 +300,7 @@ fn draw(r: &mut Random, seed: u64) -> Body {
         opening: None,
         gap: [r.between(3.2, 4.4), r.between(3.2, 4.2), r.between(2.6, 3.4)],
         depth: r.between(4.0, 5.0),
-        hem: r.between(1.1, 1.5),
+        hem: r.between(1.25, 1.5),
         corner_radius: r.between(2.5, 4.0),
     };
     let mut body = drawing.body(900 + u16::try_from(seed % 100).expect("less than a hundred"));

@@ -3,7 +3,7 @@
 
 use super::body::{Body, Hit, Part, Plan};
 use super::lamp::{Lamp, fresnel, room};
-use super::paint::{COAT_ROUGHNESS, GAP_FLOOR, LINING, Paint, RUBBER};
+use super::paint::{COAT_ROUGHNESS, GAP_FLOOR, HEM_COAT, LINING, Paint, RUBBER};
 use super::plan::Xz;
 use super::pose::{Deviation, camera_from_vehicle};
 use super::random::Random;
@@ -238,11 +238,13 @@ impl Stage<'_> {
             None => true,
         };
         let spread = |roughness: f64| (roughness * roughness + 2.0 * spot.roll * spot.roll).sqrt();
+        let whole = if spot.roll > 0.0 { HEM_COAT } else { 1.0 };
+        let coat = whole * fresnel(facing);
         // diffuse, mirrored in the coat, mirrored in the flakes
         let area = |lamp: &Lamp, luminance: f64, albedo: f64| {
             let mut back = albedo / std::f64::consts::PI * lamp.illuminance(p, n, |_| true);
             if let Some(paint) = paint {
-                back += fresnel(facing) * lamp.mirrored(p, &mirror, spread(COAT_ROUGHNESS));
+                back += coat * lamp.mirrored(p, &mirror, spread(COAT_ROUGHNESS));
                 if let Some((share, roughness)) = paint.flakes {
                     back += share * mottle * lamp.mirrored(p, &mirror, spread(roughness));
                 }
@@ -258,9 +260,9 @@ impl Stage<'_> {
                 glow.ambient += area(&setup.tubes[k], setup.tube_luminance, white);
             }
         }
-        let coat =
+        let hall =
             paint.map_or(0.0, |p| fresnel(facing) * room(-mirror.y) + p.flakes.map_or(0.0, |f| f.0 * room(-n.y)));
-        glow.ambient += spot.open * setup.room_luminance * (white * room(-0.67 * n.y) + coat);
+        glow.ambient += spot.open * setup.room_luminance * (white * room(-0.67 * n.y) + hall);
         let in_projector = self.projector_from_camera.r * p + self.projector_from_camera.t;
         if let Some(pixel) = setup.rig.projector.project(&in_projector)
             && reaches(0)
@@ -280,7 +282,7 @@ impl Stage<'_> {
                 };
                 let mut back = white / std::f64::consts::PI * up;
                 if let Some(paint) = paint {
-                    back += glossy(fresnel(half.dot(&view)), COAT_ROUGHNESS);
+                    back += glossy(whole * fresnel(half.dot(&view)), COAT_ROUGHNESS);
                     back += paint.flakes.map_or(0.0, |(share, roughness)| mottle * glossy(share, roughness));
                 }
                 let (x, y) = (in_projector.x / in_projector.z, in_projector.y / in_projector.z);

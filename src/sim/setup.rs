@@ -46,6 +46,8 @@ pub struct Setup {
 pub const DISTANCE_MM: f64 = 750.0;
 /// Light on the body from both bars at full drive, lx. The published method found its window at 144 to 248 lx.
 const FULL_LUX: f64 = 330.0;
+/// The bars stand this far to either side of the camera, mm.
+pub const BARS_MM: f64 = 690.0;
 /// Electrons per ms and cd/m²: white paint under 200 lx gives a mean grey in 2 ms. It is the same for either size of
 /// pixel: the lens of the smaller image is stopped down.
 pub(super) const SENSITIVITY: f64 = 32.0;
@@ -93,14 +95,12 @@ impl Setup {
             serial: "SIM".into(),
         };
         let target = V::new(0.0, 20.0, DISTANCE_MM);
-        let bar = |x: f64| Lamp::new(V::new(x, 20.0, 0.0), V::y(), target, [350.0, 30.0]);
         let tube = |centre, along| Lamp::new(centre, along, target, [620.0, 35.0]);
-        let bars = [bar(-690.0), bar(690.0)];
-        let per_luminance: f64 = bars.iter().map(|b| b.illuminance(&target, &-V::z(), |_| true)).sum();
+        let (bars, bar_luminance) = bars_at(BARS_MM);
         Self {
             rig: Rig { camera, projector, projector_from_camera },
             sensor,
-            blur_px: 0.5,
+            blur_px: 0.38,
             gamma: 1.02,
             defocus: (0.55, 0.004),
             focus_mm: 760.0,
@@ -109,12 +109,17 @@ impl Setup {
                 tube(V::new(760.0, -1900.0, -1200.0), V::new(1.0, 0.24, 0.0)),
                 tube(V::new(-1600.0, -2120.0, -1200.0), V::new(1.0, -0.15, 0.0)),
             ],
-            bar_luminance: FULL_LUX / per_luminance,
+            bar_luminance,
             tube_luminance: 1100.0,
             room_luminance: 8.0,
             projector_candela: 205.0,
             rays: OnceLock::new(),
         }
+    }
+
+    /// Moves the bars `mm` to either side of the camera, with more light the farther they are.
+    pub fn place_bars(&mut self, mm: f64) {
+        (self.bars, self.bar_luminance) = bars_at(mm);
     }
 
     /// Light from the bars on a body at the usual distance, facing the camera, lx.
@@ -146,6 +151,14 @@ impl Setup {
         let most = LONGEST.as_nanos() / LINE.as_nanos();
         LINE * u32::try_from(lines.clamp(1, most)).expect("a few thousand")
     }
+}
+
+/// Bars to either side, and the luminance that gives [`FULL_LUX`].
+fn bars_at(mm: f64) -> ([Lamp; 2], f64) {
+    let target = V::new(0.0, 20.0, DISTANCE_MM);
+    let bars = [-mm, mm].map(|x| Lamp::new(V::new(x, 20.0, 0.0), V::y(), target, [350.0, 30.0]));
+    let per_luminance: f64 = bars.iter().map(|b| b.illuminance(&target, &-V::z(), |_| true)).sum();
+    (bars, FULL_LUX / per_luminance)
 }
 
 #[cfg(test)]
