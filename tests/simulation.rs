@@ -9,8 +9,9 @@
 
 mod common;
 
-use common::{CameraFromVehicle, over_sigma, pose, rms};
+use common::{CameraFromVehicle, Set, data, over_sigma, pose, rms};
 use datum::capture::{Devices, Plan, RecordError, SETS, record};
+use datum::fringe::Axis;
 use datum::hal::{Camera, Clock, Error, LightBars, Pool, Presence, Projector};
 use datum::image::Image;
 use datum::measure::{Measurement, Measurer, Verdict, measure, teach};
@@ -18,7 +19,7 @@ use datum::sim::{
     self, Body, Build, Cover, Cue, Deviation, Dirt, Fault, PAINTS, Paint, Random, Scene, Script, Setup, Station, Visit,
     When,
 };
-use datum::{Capture, Point3, Pose, frame};
+use datum::{Capture, Point3, Pose, VehicleFile, frame};
 use nalgebra::{Vector3, Vector6};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -290,9 +291,18 @@ fn folder(name: &str) -> PathBuf {
 
 /// Records what stands at `station`.
 fn recorded(station: &Station, repeat: bool, folder: &Path) -> Result<Capture, RecordError> {
+    recorded_with(&SETS, station, repeat, folder)
+}
+
+fn recorded_with(
+    sets: &[(Axis, u32, u32)],
+    station: &Station,
+    repeat: bool,
+    folder: &Path,
+) -> Result<Capture, RecordError> {
     let (mut camera, mut projector, mut bars) = (station.camera(), station.projector(), station.bars());
     let mut devices = Devices { camera: &mut camera, projector: &mut projector, bars: &mut bars };
-    let plan = Plan { bars: [0.6; 2], sets: SETS.to_vec(), repeat, taken_at: "2000-01-01T00:00:00Z".into() };
+    let plan = Plan { bars: [0.6; 2], sets: sets.to_vec(), repeat, taken_at: "2000-01-01T00:00:00Z".into() };
     record(&mut devices, &plan, folder)
 }
 
@@ -458,4 +468,180 @@ fn many_vehicles_are_measured() {
         100.0 * (1.0 - 0.05f64.powf(1.0 / given.max(1) as f64))
     );
     assert_eq!(wrong, 0, "a wrong pose was called ok");
+}
+
+/// What one capture looks like, whoever made it: levels, noise and edges.
+struct Look {
+    /// Over patches of the panel: red level, modulation, phase noise (rad) of the finest set.
+    patches: Vec<[f64; 3]>,
+    /// From a fifth to four fifths of the step at the hole's and the arch's edge, px.
+    widths: [f64; 2],
+    /// How far inside the panel the arch's edge is seen, mm.
+    arch_mm: f64,
+}
+
+impl Look {
+    fn of(capture: &Capture, truth: &CameraFromVehicle, setup: &Setup, body: &Body) -> Self {
+        let red = capture.load(capture.red().expect("red")).expect("readable");
+        let steps: Vec<Image<u16>> =
+            capture.fringes[2].images.iter().map(|i| capture.load(i).expect("readable")).collect();
+        let phase = |x: usize, y: usize| {
+            let i = |k: usize| f64::from(steps[k].at(x, y));
+            let (c, s) = (i(0) - i(2), i(3) - i(1));
+            (s.atan2(c), 0.5 * c.hypot(s))
+        };
+        let pixel = |p: [f64; 3]| {
+            let p = (*truth * Point3::new(Vector3::from(p))).xyz;
+            (setup.rig.camera.project(&p).expect("in front"), p.z / setup.rig.camera.fx)
+        };
+        let features = body.features();
+        let (cap, arch) = (features[2].at, features[3].at);
+        let patch = |(dx, dz): (f64, f64)| {
+            let (at, _) = pixel([cap[0] + dx, cap[1], cap[2] + dz]);
+            let (x0, y0) = (at.x as usize - 12, at.y as usize - 12);
+            let (mut level, mut modulation, mut bends) = (0.0, 0.0, Vec::new());
+            for y in y0..y0 + 24 {
+                for x in x0..x0 + 24 {
+                    level += f64::from(red.at(x, y)) / 576.0;
+                    modulation += phase(x, y).1 / 576.0;
+                    // a smooth surface bends the phase hardly from row to row
+                    let bend = phase(x, y - 1).0 - 2.0 * phase(x, y).0 + phase(x, y + 1).0;
+                    bends.push((bend - (bend / std::f64::consts::TAU).round() * std::f64::consts::TAU) / 6f64.sqrt());
+                }
+            }
+            let mean = bends.iter().sum::<f64>() / bends.len() as f64;
+            [level, modulation, rms(bends.iter().map(|b| b - mean))]
+        };
+        let patches = [(0.0, 0.0), (60.0, -130.0), (-60.0, -120.0), (-140.0, 60.0), (10.0, 120.0)].map(patch).to_vec();
+        // profiles outwards from within the hole's gap, and upwards from within the arch
+        let profile = |from: nalgebra::Vector2<f64>, step: nalgebra::Vector2<f64>| -> Vec<f64> {
+            let at = |k: i32| {
+                let p = from + step * (0.1 * f64::from(k));
+                let (x, y) = (p.x.floor(), p.y.floor());
+                let (u, v) = (p.x - x, p.y - y);
+                let s = |dx: usize, dy: usize| f64::from(red.at(x as usize + dx, y as usize + dy));
+                (1.0 - v) * ((1.0 - u) * s(0, 0) + u * s(1, 0)) + v * ((1.0 - u) * s(0, 1) + u * s(1, 1))
+            };
+            (0..120).map(at).collect()
+        };
+        let crossings = |profiles: Vec<Vec<f64>>| {
+            let n = profiles.len() as f64;
+            let mean: Vec<f64> = (0..120).map(|k| profiles.iter().map(|p| p[k]).sum::<f64>() / n).collect();
+            let (low, high) = (mean.iter().copied().fold(f64::MAX, f64::min), mean[110..].iter().sum::<f64>() / 10.0);
+            let at = |share: f64| {
+                let level = low + share * (high - low);
+                let k = (0..120).rev().find(|k| mean[*k] < level).expect("it begins in the dark");
+                0.1 * (k as f64 + (level - mean[k]) / (mean[(k + 1).min(119)] - mean[k]).max(1e-9))
+            };
+            (at(0.5), at(0.8) - at(0.2))
+        };
+        let half = body.flap_half();
+        let hole = crossings(
+            (-20..=20)
+                .map(|k| {
+                    let dz = f64::from(k);
+                    let x = cap[0] - half[0] * (1.0 - (dz / half[1]).powi(2)).sqrt();
+                    let (rim, _) = pixel([x, cap[1], cap[2] + dz]);
+                    profile(rim - nalgebra::Vector2::new(3.0, 0.0), nalgebra::Vector2::x())
+                })
+                .collect(),
+        );
+        let (top, mm) = pixel(arch);
+        let flange = crossings(
+            (-10..=10)
+                .map(|k| {
+                    // a circle of 365 mm falls by so much beside its top
+                    let fall = (f64::from(k) * 2.0 * mm).powi(2) / 730.0 / mm;
+                    let from = top + nalgebra::Vector2::new(2.0 * f64::from(k), fall + 6.0);
+                    profile(from, -nalgebra::Vector2::y())
+                })
+                .collect(),
+        );
+        Self { patches, widths: [hole.1, flange.1], arch_mm: (flange.0 - 6.0) * mm }
+    }
+}
+
+/// The same body, poses and paints by the independent renderer and here: how they look, and how well they are measured.
+#[test]
+fn beside_the_independent_captures() {
+    let Some(folder_there) = data("station") else { return };
+    let there = Set::open(folder_there);
+    let setup = Arc::new(Setup::new(0.5, 8));
+    let body = Body::named("suv-a").expect("listed");
+    let sets = [(Axis::Column, 1, 4), (Axis::Column, 8, 4), (Axis::Column, 64, 4)]; // as there
+    let here = |name: &str| {
+        let paint = Paint::named(if name.contains("black") { "black" } else { "white" }).expect("listed");
+        let deviation = Deviation::of(&body, &there.truth(name).camera_from_vehicle);
+        let station = Station::with_vehicle(Arc::clone(&setup), 1, (body.clone(), paint, deviation), Script::default());
+        let capture = recorded_with(&sets, &station, false, &folder("beside").join(name)).expect("devices work");
+        (capture, station.truth().expect("it stands there"), Scene::new(body.clone(), paint, &deviation))
+    };
+    let features = VehicleFile::read(&there.folder.join("white-yawtt_05/features.toml")).expect("features");
+    let taught_there = there.measurer(&there.teach("white-yawtt_05", &features), "beside-there");
+    let (first, _, scene) = here("white-yawtt_05");
+    let clicked = sim::features(&scene, &setup).expect("in view");
+    let taught = teach(&first, &sim::calibration(&setup), &clicked, "beside").expect("teaches");
+    let taught_here = there.measurer(&taught, "beside-here");
+
+    let mut worse = Vec::new();
+    for name in ["white-yawtt_05", "black-yawtt_05"] {
+        let (capture, truth, _) = here(name);
+        let looks = [
+            Look::of(&there.capture(name), &there.truth(name).camera_from_vehicle, &setup, &body),
+            Look::of(&capture, &truth, &setup, &body),
+        ];
+        println!("\n{name}: there, here, ratio");
+        let mut compare = |what: String, of: &dyn Fn(&Look) -> f64| {
+            let [a, b] = [of(&looks[0]), of(&looks[1])];
+            println!("    {what:28} {a:8.3} {b:8.3} {:6.2}", b / a);
+            if !(0.7..1.43).contains(&(b / a)) {
+                worse.push(format!("{name}: {what} {:.2}", b / a));
+            }
+        };
+        for k in 0..looks[0].patches.len() {
+            compare(format!("patch {k}: red level"), &|l| l.patches[k][0]);
+            compare(format!("patch {k}: modulation"), &|l| l.patches[k][1]);
+            compare(format!("patch {k}: phase noise, rad"), &|l| l.patches[k][2]);
+        }
+        compare("width of the hole's edge, px".into(), &|l| l.widths[0]);
+        compare("width of the arch's edge, px".into(), &|l| l.widths[1]);
+        compare("arch's edge inside, mm".into(), &|l| l.arch_mm);
+    }
+
+    println!("\nerrors there | here: x y z mm, rx ry rz °; * where this simulator is more than twice as kind");
+    let names = [
+        "white-yawtt_07",
+        "white-yawtt_10",
+        "white-tx_00",
+        "white-tx_20",
+        "white-ty_20",
+        "white-rnd_00",
+        "white-rnd_03",
+        "black-yawtt_05",
+        "black-rnd_01",
+        "black-yawtt_10",
+    ];
+    let (mut all_there, mut all_here) = (Vec::new(), Vec::new());
+    for name in names {
+        let a = there.truth(name).error(&there.measure(&taught_there, name).0);
+        let (capture, truth, _) = here(name);
+        let m = measured(&taught_here, &capture);
+        let b = error(&m, &truth);
+        let text = |e: &Option<Vector6<f64>>| {
+            let Some(e) = e else { return "refused".to_owned() };
+            let deg = e.fixed_rows::<3>(3).map(f64::to_degrees);
+            format!("{:+.3} {:+.3} {:+.3}  {:+.4} {:+.4} {:+.4}", e[0], e[1], e[2], deg[0], deg[1], deg[2])
+        };
+        let kind =
+            matches!((&a, &b), (Some(a), Some(b)) if 2.0 * b.fixed_rows::<3>(0).norm() < a.fixed_rows::<3>(0).norm());
+        println!("{name:16} {} | {} {} {}", text(&a), text(&b), if kind { "*" } else { "" }, m.detail);
+        all_there.extend(a);
+        all_here.extend(b);
+    }
+    let largest =
+        |all: &[Vector6<f64>], first: usize| all.iter().map(|e| e.fixed_rows::<3>(first).amax()).fold(0.0, f64::max);
+    let (t, h) = ([largest(&all_there, 0), largest(&all_there, 3)], [largest(&all_here, 0), largest(&all_here, 3)]);
+    println!("largest: {:.3} mm {:.4}° there, {:.3} mm {:.4}° here", t[0], t[1].to_degrees(), h[0], h[1].to_degrees());
+    println!("beyond 30 %: {worse:?}");
+    assert!(2.0 * h[0] >= t[0] && 2.0 * h[1] >= t[1], "the simulator is more than twice as kind");
 }

@@ -417,3 +417,91 @@ pub struct Feature {
 const CREASE_MM: f64 = 9.0;
 /// How finely a line of sight is followed into a gap, mm.
 const STEP_MM: f64 = 0.2;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn suv() -> Body {
+        Body::named("suv-a").expect("listed")
+    }
+
+    /// The flap's rim at its foremost point, `out` mm outside the hole's edge.
+    fn beside_hole(body: &Body, out: f64) -> Xz {
+        [body.hole.0[0] + body.hole.1.half()[0] + out, body.hole.0[1]]
+    }
+
+    #[test]
+    fn the_surfaces_slope_is_its_derivative() {
+        for name in super::super::names() {
+            let body = Body::named(name).expect("listed");
+            for p in [[-2500.0, 720.0], [-2700.0, 900.0], [-2640.0, 760.0]] {
+                for i in 0..2 {
+                    let at = |h: f64| {
+                        let mut q = p;
+                        q[i] += h;
+                        body.surface(q).0
+                    };
+                    let slope = (at(1e-3) - at(-1e-3)) / 2e-3;
+                    assert!((slope - body.surface(p).1[i]).abs() < 1e-5, "{name} {p:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_straight_look_meets_panel_hem_floor_and_lid_in_turn() {
+        let build = Build { flush: [0.0, 0.0, 0.5], ..Build::default() };
+        let body = suv().built(build);
+        let meet = |out: f64| body.meet(&body.plan(beside_hole(&body, out)), [0.0, 0.0]).expect("no arch here");
+        let panel = meet(5.0);
+        assert!(panel.part == Part::Quarter && panel.height.abs() < 1e-9 && panel.tilt.1 == 0.0, "{panel:?}");
+        let hem = meet(0.3 * body.hem);
+        let drop = body.hem * (1.0 - (1.0 - 0.7f64 * 0.7).sqrt());
+        assert!(hem.part == Part::Quarter && (hem.height + drop).abs() < 0.02, "{hem:?}");
+        assert!((hem.tilt.1 - 0.7).abs() < 0.02 && hem.tilt.2[0] < -0.99, "it faces the hole: {hem:?}");
+        let floor = meet(-0.5 * body.gap[2]);
+        assert_eq!((floor.part, floor.height), (Part::Gap, -body.depth));
+        let lid = meet(-body.gap[2] - 3.0);
+        assert!(lid.part == Part::Flap && (lid.height - 0.5).abs() < 0.01, "{lid:?}");
+    }
+
+    #[test]
+    fn a_leaning_look_sees_behind_the_near_hem_and_onto_the_far_one() {
+        let body = suv();
+        // outwards it leans forward by 0.3: inwards, backward, under the near edge of the flap
+        let plan = body.plan(beside_hole(&body, -0.2));
+        let met = body.meet(&plan, [0.3, 0.0]).expect("no arch here");
+        assert_eq!(met.part, Part::Gap);
+        let other = body.meet(&plan, [-0.3, 0.0]).expect("no arch here");
+        assert_eq!(other.part, Part::Quarter, "inwards it leans forward, onto the hole's hem: {other:?}");
+    }
+
+    #[test]
+    fn light_leaves_a_gap_only_past_its_edges() {
+        let body = suv();
+        let plan = body.plan(beside_hole(&body, -0.5 * body.gap[2]));
+        assert!(body.escapes(&plan, -3.0, [0.0, 0.0]));
+        assert!(!body.escapes(&plan, -3.0, [1.0, 0.0]) && !body.escapes(&plan, -3.0, [-1.0, 0.0]));
+        assert!(body.escapes(&plan, -3.0, [0.0, 1.0]), "along the gap");
+    }
+
+    #[test]
+    fn through_the_arch_are_tyre_and_wheelhouse() {
+        let body = suv();
+        let top = body.arch.at(0.0);
+        assert!(body.meet(&body.plan([top[0], top[1] - 20.0]), [0.0, 0.0]).is_none());
+        assert_eq!(body.behind_arch([top[0], top[1] - 20.0], [0.0, 0.0]).0, Part::Wheelhouse);
+        assert_eq!(body.behind_arch([top[0], top[1] - 120.0], [0.0, 0.0]), (Part::Tyre, -TYRE_MM));
+    }
+
+    #[test]
+    fn how_a_body_is_built_leaves_its_nominal_points() {
+        let mut random = Random::new(3, &[]);
+        let body = suv().built(Build::random(&mut random));
+        assert_eq!(body.features(), suv().features());
+        let Build { gap, flap, flush } = body.build;
+        let all: Vec<f64> = gap.into_iter().chain(flap).chain(flush).collect();
+        assert!(all.iter().all(|v| v.abs() <= BUILD_MM) && all.iter().any(|v| v.abs() > 0.1));
+    }
+}

@@ -111,3 +111,27 @@ pub fn features(scene: &Scene, setup: &Setup) -> Option<VehicleFile> {
         release: None,
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::{Body, Paint};
+
+    #[test]
+    fn truth_and_clicks_are_the_nominal_points_seen_by_the_lens() {
+        let setup = Setup::new(0.5, 8);
+        let body = Body::named("sedan-b").expect("listed");
+        let deviation = Deviation { yaw_deg: 4.0, ..Deviation::default() };
+        let scene = Scene::new(body, Paint::named("white").expect("listed"), &deviation);
+        let clicked = features(&scene, &setup).expect("all in view");
+        let truth = truth(&scene, &setup, "x", &deviation);
+        assert_eq!((clicked.features.len(), truth["kind"].as_str()), (3, Some("sedan")));
+        assert_eq!(clicked.features[1].kind, Kind::Outline, "its flap is no ellipse");
+        let cap = &truth["features"]["cap_centre"];
+        let pixel = clicked.features[1].pixel.expect("clicked");
+        assert_eq!((cap["in_image"].as_bool(), cap["pixel"][0].as_f64()), (Some(true), Some(pixel[0])));
+        let away = Deviation { along_mm: 900.0, ..Deviation::default() };
+        let gone = Scene::new(scene.body.clone(), scene.paint, &away);
+        assert!(features(&gone, &setup).is_none());
+    }
+}

@@ -26,6 +26,22 @@ pub struct Deviation {
 }
 
 impl Deviation {
+    /// That of a vehicle of `body` which stands at `pose`.
+    pub fn of(body: &Body, pose: &Pose<frame::Camera, frame::Vehicle>) -> Self {
+        let (should, centroid) = should(body);
+        let motion: Pose<frame::Vehicle, frame::Vehicle> = should.inverse() * *pose;
+        let shift = motion.t - centroid + motion.r * centroid;
+        let e = EulerDeg::from_rotation(&motion.r);
+        Self {
+            along_mm: shift.x,
+            across_mm: shift.y,
+            up_mm: shift.z,
+            roll_deg: e.roll,
+            pitch_deg: e.pitch,
+            yaw_deg: e.yaw,
+        }
+    }
+
     /// Drawn as vehicles roll into a station: ±12.5° about the vertical, ±50 mm along and across, ±20 mm up, ±1°.
     pub fn random(random: &mut Random) -> Self {
         Self {
@@ -41,6 +57,15 @@ impl Deviation {
 
 /// Where a vehicle of this body stands that is `deviation` off.
 pub fn camera_from_vehicle(body: &Body, deviation: &Deviation) -> Pose<frame::Camera, frame::Vehicle> {
+    let (should, centroid) = should(body);
+    let d = deviation;
+    let turn = EulerDeg { roll: d.roll_deg, pitch: d.pitch_deg, yaw: d.yaw_deg }.to_rotation();
+    let shift = Vector3::new(d.along_mm, d.across_mm, d.up_mm);
+    should * Pose::<frame::Vehicle, frame::Vehicle>::new(turn, centroid - turn * centroid + shift)
+}
+
+/// Where a vehicle of this body should stand, and its features' centroid.
+fn should(body: &Body) -> (Pose<frame::Camera, frame::Vehicle>, Vector3<f64>) {
     let features: Vec<Vector3<f64>> = body.features().iter().map(|f| Vector3::from(f.at)).collect();
     let centroid = features.iter().sum::<Vector3<f64>>() / features.len() as f64;
     // the camera looks at the middle of what must be in the image, and a little low
@@ -53,11 +78,7 @@ pub fn camera_from_vehicle(body: &Body, deviation: &Deviation) -> Pose<frame::Ca
     let axes = nalgebra::Matrix3::new(-1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, -1.0, 0.0);
     let mount = Rotation3::from_euler_angles(0.0061, -0.0049, 0.0079);
     let r = mount * Rotation3::from_matrix_unchecked(axes);
-    let should = Pose::<frame::Camera, frame::Vehicle>::new(r, Vector3::new(0.0, 0.0, DISTANCE_MM) - r * aim);
-    let d = deviation;
-    let turn = EulerDeg { roll: d.roll_deg, pitch: d.pitch_deg, yaw: d.yaw_deg }.to_rotation();
-    let shift = Vector3::new(d.along_mm, d.across_mm, d.up_mm);
-    should * Pose::<frame::Vehicle, frame::Vehicle>::new(turn, centroid - turn * centroid + shift)
+    (Pose::new(r, Vector3::new(0.0, 0.0, DISTANCE_MM) - r * aim), centroid)
 }
 
 #[cfg(test)]
@@ -76,5 +97,8 @@ mod tests {
         assert!((seen(&Deviation { yaw_deg: 12.5, roll_deg: -1.0, ..Deviation::default() }) - still).norm() < 1e-9);
         let nearer = seen(&Deviation { across_mm: 50.0, ..Deviation::default() });
         assert!((nearer.z - still.z + 50.0).abs() < 0.1, "{nearer}");
+        let d = Deviation::random(&mut Random::new(9, &[]));
+        let back = Deviation::of(&body, &camera_from_vehicle(&body, &d));
+        assert!((back.yaw_deg - d.yaw_deg).abs() < 1e-9 && (back.up_mm - d.up_mm).abs() < 1e-9, "{back:?} for {d:?}");
     }
 }

@@ -175,3 +175,36 @@ fn several(
 fn beam_of(glow: &Glow, share: f64) -> Beam {
     Beam { weight: (share * glow.projector) as f32, column: glow.column as f32, row: glow.row as f32 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::{Body, Deviation, Paint};
+
+    #[test]
+    fn light_adds_up_and_grows_with_time() {
+        let setup = Setup::new(0.25, 8);
+        let body = Body::named("suv-a").expect("listed");
+        let scene = Scene::new(body, Paint::named("grey").expect("listed"), &Deviation::default());
+        let layers = Layers::new(&scene, &setup, 0.0);
+        let flat = Picture::new(&crate::Image::filled(1280, 800, 255), &setup, 760.0);
+        let row = |bars, ambient, picture, ms| {
+            let mut out = vec![0.0; setup.sensor.width];
+            layers.electrons(300, &Lit { bars, ambient, picture }, Duration::from_millis(ms), &mut out);
+            out
+        };
+        let all = row([0.5, 0.25], 1.0, Some(&flat), 4);
+        let parts = [
+            row([0.5, 0.0], 0.0, None, 4),
+            row([0.0, 0.5], 0.0, None, 2),
+            row([0.0; 2], 1.0, None, 4),
+            row([0.0; 2], 0.0, Some(&flat), 4),
+        ];
+        for (x, all) in all.iter().enumerate() {
+            let sum: f32 = parts.iter().map(|p| p[x]).sum();
+            assert!((all - sum).abs() <= 1e-3 * sum, "{x}: {all} {sum}");
+        }
+        // some pixels of a row that crosses the flap's gap see two parts
+        assert!(layers.rows.iter().any(|r| !r.further.is_empty()));
+    }
+}

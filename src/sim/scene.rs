@@ -322,3 +322,63 @@ fn speckle(plan: Xz) -> f64 {
     let cell = plan.map(|v| (v / 0.8).floor() as i64 as u64);
     (Random::new(cell[0], &[cell[1]]).uniform() - 0.5) * 12f64.sqrt()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Point3;
+
+    fn scene(paint: &str) -> Scene {
+        let body = Body::named("suv-a").expect("listed");
+        Scene::new(body, Paint::named(paint).expect("listed"), &Deviation::default())
+    }
+
+    /// What is seen of a point of the undisturbed surface.
+    fn look(scene: &Scene, setup: &Setup, at: Xz) -> (Glow, V) {
+        let p = V::new(at[0], scene.body.surface(at).0, at[1]);
+        let p = (scene.camera_from_vehicle * Point3::new(p)).xyz;
+        let stage = scene.stage(setup, 0.0);
+        let crossing = stage.cross(p.x / p.z, p.y / p.z, 700.0);
+        assert!((crossing.depth - p.z).abs() < 1e-3, "the ray ends at the point");
+        (stage.look(&crossing, 0.5), p)
+    }
+
+    #[test]
+    fn the_projectors_pixel_is_the_one_that_lights_the_point() {
+        let (scene, setup) = (scene("white"), Setup::new(0.25, 8));
+        for at in [[-2550.0, 760.0], [-2700.0, 950.0], [-2450.0, 900.0]] {
+            let (glow, p) = look(&scene, &setup, at);
+            let rig = &setup.rig;
+            let pixel = rig.projector.project(&(rig.projector_from_camera * Point3::new(p)).xyz).expect("in front");
+            assert!((glow.column - pixel.x).abs() < 1e-3 && (glow.row - pixel.y).abs() < 1e-3);
+            assert!(glow.projector > 0.0);
+        }
+    }
+
+    #[test]
+    fn paint_gives_back_its_share_of_the_bars_light() {
+        let (setup, at) = (Setup::new(0.25, 8), [-2620.0, 770.0]);
+        let white = look(&scene("white"), &setup, at).0;
+        let bars = white.bars[0] + white.bars[1];
+        let expected = 0.72 / std::f64::consts::PI * setup.lux([1.0, 1.0]);
+        assert!((bars / expected - 1.0).abs() < 0.1, "{bars} of {expected} cd/m²");
+        let red = look(&scene("red"), &setup, at).0;
+        assert!(
+            red.bars[0] > 0.6 * white.bars[0] && red.projector < 0.3 * white.projector,
+            "red is bright in red light"
+        );
+    }
+
+    #[test]
+    fn gaps_and_wheelhouse_are_dark_and_what_covers_the_body_is_before_it() {
+        let (mut scene, setup) = (scene("white"), Setup::new(0.25, 8));
+        let panel = look(&scene, &setup, [-2620.0, 770.0]).0.bars[0];
+        let hole = scene.body.features()[2].at;
+        let rim = [hole[0] + scene.body.flap_half()[0] - 1.7, hole[2]];
+        for dark in [rim, [-2640.0, 690.0]] {
+            assert!(look(&scene, &setup, dark).0.bars[0] < 0.06 * panel, "{dark:?}");
+        }
+        scene.cover = Some(Cover { centre: rim, half: [10.0, 10.0] });
+        assert!(look(&scene, &setup, rim).0.bars[0] > 0.2 * panel);
+    }
+}

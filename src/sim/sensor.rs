@@ -97,3 +97,54 @@ pub fn expose(setup: &Setup, layers: &Layers, lit: &Lit, dirt: Option<&Dirt>, ta
         },
     );
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::mean_std;
+
+    /// An image of an even wall of so many grey levels.
+    fn wall(setup: &Setup, level: f64, gain: f64, dirt: Option<&Dirt>) -> Image<u16> {
+        let layers = Layers::empty(setup);
+        let exposure = Duration::from_millis(10);
+        let mut row = vec![0.0; setup.sensor.width];
+        layers.electrons(0, &Lit { bars: [0.0; 2], ambient: 1.0, picture: None }, exposure, &mut row);
+        let ambient = level / (f64::from(row[0]) * setup.sensor.dn_per_electron * gain);
+        let lit = Lit { bars: [0.0; 2], ambient, picture: None };
+        let mut image = Image::filled(setup.sensor.width, setup.sensor.height, 0);
+        expose(setup, &layers, &lit, dirt, &Take { exposure, gain, seed: 1, number: 1 }, &mut image);
+        image
+    }
+
+    #[test]
+    fn noise_follows_shot_and_read_noise() {
+        for (bits, level, gain) in [(8, 60.0, 1.0), (8, 60.0, 4.0), (10, 400.0, 1.0)] {
+            let setup = Setup::new(0.25, bits);
+            let image = wall(&setup, level, gain, None);
+            let (mean, std) = mean_std(&image.pixels.iter().map(|v| f64::from(*v)).collect::<Vec<_>>());
+            let g = setup.sensor.dn_per_electron * gain;
+            let law = (g * level + (g * setup.sensor.read_noise_e).powi(2) + 1.0 / 12.0).sqrt();
+            assert!((mean - level - setup.sensor.black_level).abs() < 0.02 * level.sqrt(), "{mean}");
+            // pixels differ by 0.3 % on top
+            assert!((std / law - 1.0).abs() < 0.05, "{bits} bits, gain {gain}: {std} for {law}");
+        }
+    }
+
+    #[test]
+    fn too_much_light_is_white_and_none_is_black() {
+        let setup = Setup::new(0.25, 8);
+        assert!(wall(&setup, 400.0, 1.0, None).pixels.iter().all(|v| *v == 255));
+        let (mean, _) =
+            mean_std(&wall(&setup, 1e-9, 1.0, None).pixels.iter().map(|v| f64::from(*v)).collect::<Vec<_>>());
+        assert!((mean - 2.0).abs() < 0.01, "{mean}");
+    }
+
+    #[test]
+    fn dirt_takes_light_where_it_sits() {
+        let setup = Setup::new(0.25, 8);
+        let dirt = Dirt { smudges: vec![([0.5, 0.5], 0.1, 0.8)], veil: 0.0 };
+        let image = wall(&setup, 100.0, 1.0, Some(&dirt));
+        let at = |x: f64| f64::from(image.at((x * image.width as f64) as usize, image.width / 2));
+        assert!(at(0.5) < 35.0 && at(0.2) > 85.0, "{} {}", at(0.5), at(0.2));
+    }
+}
