@@ -302,7 +302,7 @@ fn recorded_with(
 ) -> Result<Capture, RecordError> {
     let (mut camera, mut projector, mut bars) = (station.camera(), station.projector(), station.bars());
     let mut devices = Devices { camera: &mut camera, projector: &mut projector, bars: &mut bars };
-    let plan = Plan { bars: [0.6; 2], sets: sets.to_vec(), repeat, taken_at: "2000-01-01T00:00:00Z".into() };
+    let plan = Plan { sets: sets.to_vec(), repeat, ..Plan::default() };
     record(&mut devices, &plan, folder)
 }
 
@@ -336,10 +336,8 @@ fn error(m: &Measurement, truth: &CameraFromVehicle) -> Option<Vector6<f64>> {
     Some(Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z))
 }
 
-/// The README's example for integrators: a scene of one's own, a fault of one's own.
 #[test]
 fn a_vehicle_that_rocks_is_not_measured() {
-    // a small image, so that it is quick; a body of one's own would be Body::random(seed)
     let setup = Arc::new(Setup::new(0.25, 8));
     let (body, paint) = (Body::named("suv-b").expect("listed"), Paint::named("silver").expect("listed"));
     let measurer = taught(&setup, &body, paint, 1, "rocks").expect("a good capture");
@@ -365,6 +363,25 @@ fn a_recording_does_not_hide_a_lost_image() {
     let lost = station(on_image(12, Fault::ImageDropped));
     let e = recorded(&lost, true, &folder("lost")).expect_err("one is missing").to_string();
     assert!(e.contains("allowed: the next"), "{e}");
+}
+
+/// Whether a pose is off by more than 0.5 mm at the centroid, 0.15° in yaw, or twice its stated U at a target.
+fn is_wrong(m: &Measurement, truth: &CameraFromVehicle, error: &Option<Vector6<f64>>) -> bool {
+    let (Some(e), Some(measured), Some(u)) = (error, pose(m), &m.uncertainty_k2) else { return false };
+    let motion: Pose<frame::Vehicle, frame::Vehicle> = truth.inverse() * measured;
+    // as sim::features names them
+    let at = |name: &str| match name {
+        "front-radar" => [900.0, 0.0, 500.0],
+        "windscreen-camera" => [-600.0, 0.0, 1300.0],
+        "rear-axle" => [-2640.0, 0.0, 340.0],
+        other => panic!("no such target: {other}"),
+    };
+    let off = |name: &str| {
+        let p = Point3::new(Vector3::from(at(name)));
+        ((motion * p) - p).norm()
+    };
+    let beyond = u.targets.iter().any(|t| off(&t.name) > 2.0 * t.mm);
+    beyond || e.fixed_rows::<3>(0).norm() > 0.5 || e[5].abs().to_degrees() > 0.15
 }
 
 /// What became of one vehicle.
@@ -404,7 +421,7 @@ fn vehicle(setup: &Arc<Setup>, repeat: bool, k: u64) -> Row {
             ok = m.verdict == Verdict::Ok;
             off = error(&m, &scene.camera_from_vehicle);
             over = off.map(|e| over_sigma(&e, &m));
-            wrong = off.is_some_and(|e| e.fixed_rows::<3>(0).norm() > 0.5 || e[5].abs().to_degrees() > 0.15);
+            wrong = is_wrong(&m, &scene.camera_from_vehicle, &off);
             format!("{} {}", m.verdict.name(), m.detail)
         }
     };
@@ -644,4 +661,42 @@ fn beside_the_independent_captures() {
     println!("largest: {:.3} mm {:.4}° there, {:.3} mm {:.4}° here", t[0], t[1].to_degrees(), h[0], h[1].to_degrees());
     println!("beyond 30 %: {worse:?}");
     assert!(2.0 * h[0] >= t[0] && 2.0 * h[1] >= t[1], "the simulator is more than twice as kind");
+}
+
+#[test]
+fn the_command_writes_captures_that_say_what_they_show() {
+    let run = |out: &Path, extra: &[&str]| {
+        let out = out.to_str().expect("UTF-8");
+        let arguments =
+            ["simulate", "--out", out, "--scale", "0.25", "--bits", "10", "--paint", "random", "--seed", "5"];
+        std::process::Command::new(env!("CARGO_BIN_EXE_datum")).args(arguments).args(extra).output().expect("runs")
+    };
+    let (a, b) = (folder("command-a"), folder("command-b"));
+    let poses = ["--vehicle", "sedan-b", "--poses", "2"];
+    assert!(run(&a, &poses).status.success() && run(&b, &poses).status.success());
+    let captures: Vec<PathBuf> = std::fs::read_dir(&a)
+        .expect("made")
+        .map(|e| e.expect("readable").path())
+        .filter(|p| p.join("capture.toml").exists())
+        .collect();
+    assert_eq!(captures.len(), 2);
+    datum::Calibration::read(&a.join("calibration.toml")).expect("a calibration");
+    VehicleFile::read(&a.join("features.toml")).expect("features");
+    for capture in &captures {
+        let read = Capture::open(capture).expect("a capture");
+        assert_eq!((read.camera.bits, read.camera.white_level()), (16, 1023.0));
+        let image = read.load(read.red().expect("red")).expect("readable");
+        assert!(image.pixels.iter().all(|v| *v <= 1023) && image.pixels.iter().any(|v| *v > 300));
+        // the same seed writes the same bytes
+        for file in ["red.png", "fringe-15.png", "truth.json"] {
+            let other = b.join(capture.file_name().expect("named")).join(file);
+            assert!(
+                std::fs::read(capture.join(file)).expect("there") == std::fs::read(other).expect("there"),
+                "{file}"
+            );
+        }
+    }
+    let e = run(&a, &["--vehicle", "tank"]);
+    let said = String::from_utf8_lossy(&e.stderr).into_owned();
+    assert!(e.status.code() == Some(2) && said.contains("--vehicle = tank, allowed: suv-a"), "{said}");
 }

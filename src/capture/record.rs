@@ -34,6 +34,13 @@ pub struct Plan {
     pub taken_at: String,
 }
 
+impl Default for Plan {
+    /// Bars at 0.6, the usual sets, the first image repeated; of no date.
+    fn default() -> Self {
+        Self { bars: [0.6; 2], sets: SETS.to_vec(), repeat: true, taken_at: "2000-01-01T00:00:00Z".into() }
+    }
+}
+
 /// Why nothing was recorded.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {

@@ -1,7 +1,7 @@
 //! `datum simulate`: captures of the simulated station with their truth, a calibration, a features file; or a picture.
 
 use super::{Status, print};
-use crate::capture::{Devices, Plan, SETS, record};
+use crate::capture::{Devices, Plan, record};
 use crate::document::{self, Check};
 use crate::image::write_png_rgb;
 use crate::sim::{self, Body, Build, Deviation, PAINTS, Paint, Random, Scene, Script, Setup, Station};
@@ -20,7 +20,8 @@ pub(super) struct Arguments {
     /// white, silver, grey, red, blue, black, or "random": another one for each pose
     #[arg(long, value_name = "NAME", default_value = "white")]
     paint: String,
-    /// How many poses, drawn from the seed (the first is where the vehicle should stand), or a file with [[pose]]
+    /// How many poses, drawn from the seed (the first is where the vehicle should stand), or a file of
+    /// [[pose]] with along_mm, across_mm, up_mm, roll_deg, pitch_deg, yaw_deg, as the vehicle is off, each 0 if not given
     #[arg(long, value_name = "N|FILE", default_value = "1")]
     poses: String,
     /// What everything random is drawn from
@@ -97,8 +98,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         let station = Station::with_vehicle(Arc::clone(&setup), random.bits(), vehicle, Script::default());
         let (mut camera, mut projector, mut bars) = (station.camera(), station.projector(), station.bars());
         let mut devices = Devices { camera: &mut camera, projector: &mut projector, bars: &mut bars };
-        let plan =
-            Plan { bars: [a.bars; 2], sets: SETS.to_vec(), repeat: true, taken_at: "2000-01-01T00:00:00Z".into() };
+        let plan = Plan { bars: [a.bars; 2], ..Plan::default() };
         record(&mut devices, &plan, &folder)?;
         let truth = sim::truth(&scene, &setup, &format!("{k:03}"), deviation);
         let mut text = serde_json::to_string_pretty(&truth)?;
