@@ -1,6 +1,6 @@
 //! Area lamps and the room: the light that falls on a point, and what a clear coat mirrors of it.
 //! In:  lamps in the camera's frame (mm), a point with its normal. Out: illuminance (lx), mirrored luminance (cd/m²).
-//! Not here: paints' colours; the projector; what is in the way (the caller says which lamp points are hidden).
+//! Not here: paints' colours; the projector; what is in the way.
 
 use super::paint::COAT;
 use nalgebra::Vector3;
@@ -42,13 +42,13 @@ impl Lamp {
         self.centre
     }
 
-    /// Illuminance, lx per cd/m² of the lamp, at `p` with normal `n`, of the points that are `seen`.
-    pub(super) fn illuminance(&self, p: &V, n: &V, mut seen: impl FnMut(&V) -> bool) -> f64 {
+    /// Illuminance, lx per cd/m² of the lamp, at `p` with normal `n`.
+    pub(super) fn illuminance(&self, p: &V, n: &V) -> f64 {
         let mut sum = 0.0;
         for q in &self.points {
             let to = q - p;
             let (far2, up, out) = (to.norm_squared(), to.dot(n), -to.dot(&self.axes[2]));
-            if up > 0.0 && out > 0.0 && seen(&to) {
+            if up > 0.0 && out > 0.0 {
                 sum += up * out / (far2 * far2);
             }
         }
@@ -112,11 +112,10 @@ mod tests {
 
     #[test]
     fn a_far_lamp_lights_as_a_point_does() {
-        let got = lamp().illuminance(&V::new(0.0, 0.0, 10_000.0), &-V::z(), |_| true);
+        let got = lamp().illuminance(&V::new(0.0, 0.0, 10_000.0), &-V::z());
         let expected = 600.0 * 60.0 / 1e8; // area over distance squared
         assert!((got / expected - 1.0).abs() < 1e-2, "{got} {expected}");
-        assert_eq!(lamp().illuminance(&V::new(0.0, 0.0, -100.0), &V::z(), |_| true), 0.0, "its back is dark");
-        assert_eq!(lamp().illuminance(&V::new(0.0, 0.0, 1000.0), &-V::z(), |_| false), 0.0, "hidden");
+        assert_eq!(lamp().illuminance(&V::new(0.0, 0.0, -100.0), &V::z()), 0.0, "its back is dark");
     }
 
     #[test]

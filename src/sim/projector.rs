@@ -19,18 +19,26 @@ impl Picture {
         let level: Vec<f32> = (0..=255u8).map(|v| (f64::from(v) / 255.0).powf(setup.gamma) as f32).collect();
         let light: Vec<f32> = picture.pixels.iter().map(|v| level[usize::from(*v)]).collect();
         let sigma = setup.defocus.0.hypot(setup.defocus.1 * (far - setup.focus_mm));
-        let kernel: Vec<f32> = (-4i32..=4).map(|k| (-f64::from(k * k) / (2.0 * sigma * sigma)).exp() as f32).collect();
-        let sum: f32 = kernel.iter().sum();
-        let kernel: Vec<f32> = kernel.iter().map(|k| k / sum).collect();
+        let kernel: [f32; 9] =
+            std::array::from_fn(|k| (-(k as f64 - 4.0).powi(2) / (2.0 * sigma * sigma)).exp() as f32);
+        let kernel = kernel.map(|k| k / kernel.iter().sum::<f32>());
         let (width, height) = (picture.width, picture.height);
-        let taps =
-            |n: usize, at: usize| (0..9usize).map(move |k| (at + k).saturating_sub(4).min(n - 1)).zip(kernel.clone());
-        let across: Vec<f32> = (0..width * height)
-            .map(|i| taps(width, i % width).map(|(x, w)| w * light[i / width * width + x]).sum())
-            .collect();
-        let light =
-            (0..width * height).map(|i| taps(height, i / width).map(|(y, w)| w * across[y * width + i % width]).sum());
-        Self { width, height, light: light.collect() }
+        // beyond the border the picture goes on as it ends
+        let near = |n: usize, at: usize, k: usize| (at + k).saturating_sub(4).min(n - 1);
+        let mut across = vec![0f32; width * height];
+        for (from, to) in light.chunks(width).zip(across.chunks_mut(width)) {
+            for (x, to) in to.iter_mut().enumerate() {
+                *to = (0..9).map(|k| kernel[k] * from[near(width, x, k)]).sum();
+            }
+        }
+        let mut light = light;
+        for (y, to) in light.chunks_mut(width).enumerate() {
+            let rows: [&[f32]; 9] = std::array::from_fn(|k| &across[near(height, y, k) * width..][..width]);
+            for (x, to) in to.iter_mut().enumerate() {
+                *to = (0..9).map(|k| kernel[k] * rows[k][x]).sum();
+            }
+        }
+        Self { width, height, light }
     }
 
     /// Light at a place of the picture, px; none beyond its border.

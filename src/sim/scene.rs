@@ -242,7 +242,7 @@ impl Stage<'_> {
         let coat = whole * fresnel(facing);
         // diffuse, mirrored in the coat, mirrored in the flakes
         let area = |lamp: &Lamp, luminance: f64, albedo: f64| {
-            let mut back = albedo / std::f64::consts::PI * lamp.illuminance(p, n, |_| true);
+            let mut back = albedo / std::f64::consts::PI * lamp.illuminance(p, n);
             if let Some(paint) = paint {
                 back += coat * lamp.mirrored(p, &mirror, spread(COAT_ROUGHNESS));
                 if let Some((share, roughness)) = paint.flakes {

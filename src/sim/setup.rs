@@ -125,7 +125,7 @@ impl Setup {
     /// Light from the bars on a body at the usual distance, facing the camera, lx.
     pub fn lux(&self, drive: [f64; 2]) -> f64 {
         let at = V::new(0.0, 20.0, DISTANCE_MM);
-        let lit = |bar: &Lamp, drive: f64| drive * self.bar_luminance * bar.illuminance(&at, &-V::z(), |_| true);
+        let lit = |bar: &Lamp, drive: f64| drive * self.bar_luminance * bar.illuminance(&at, &-V::z());
         lit(&self.bars[0], drive[0]) + lit(&self.bars[1], drive[1])
     }
 
@@ -157,7 +157,7 @@ impl Setup {
 fn bars_at(mm: f64) -> ([Lamp; 2], f64) {
     let target = V::new(0.0, 20.0, DISTANCE_MM);
     let bars = [-mm, mm].map(|x| Lamp::new(V::new(x, 20.0, 0.0), V::y(), target, [350.0, 30.0]));
-    let per_luminance: f64 = bars.iter().map(|b| b.illuminance(&target, &-V::z(), |_| true)).sum();
+    let per_luminance: f64 = bars.iter().map(|b| b.illuminance(&target, &-V::z())).sum();
     (bars, FULL_LUX / per_luminance)
 }
 
