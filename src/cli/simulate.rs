@@ -42,6 +42,9 @@ pub(super) struct Arguments {
     /// Every body exactly as drawn: no door, bumper or flap is off
     #[arg(long)]
     as_drawn: bool,
+    /// Leaves out the repeated image at the end that shows whether the vehicle moved
+    #[arg(long)]
+    no_repeat: bool,
     /// Writes a picture of the first pose for people, and no captures unless --out is given
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
@@ -98,7 +101,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         let station = Station::with_vehicle(Arc::clone(&setup), random.bits(), vehicle, Script::default());
         let (mut camera, mut projector, mut bars) = (station.camera(), station.projector(), station.bars());
         let mut devices = Devices { camera: &mut camera, projector: &mut projector, bars: &mut bars };
-        let plan = Plan { bars: [a.bars; 2], ..Plan::default() };
+        let plan = Plan { bars: [a.bars; 2], repeat: !a.no_repeat, ..Plan::default() };
         record(&mut devices, &plan, &folder)?;
         let truth = sim::truth(&scene, &setup, &format!("{k:03}"), deviation);
         let mut text = serde_json::to_string_pretty(&truth)?;
