@@ -1,45 +1,26 @@
 //! `datum calibrate` through the built program, on rendered captures of boards: what it finds, what it writes, and what it
 //! says of bad input.
 
-#[path = "common/board.rs"]
-mod board;
+#[path = "common/calibrate.rs"]
+mod common;
 
-use board::{place, places, rig, write_capture};
-use datum::calibrate::Board;
+use common::board::{place, places, rig, write_capture};
+use common::{CHESS, MARKED, calibrate, empty_folder, parsed, refused, text, write_captures};
 use datum::image::{Image, write_png};
 use datum::{Calibration, Pose};
 use nalgebra::{Rotation3, Vector3};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::OnceLock;
 
-const CHESS: &str = "chessboard:9x6:45";
-const MARKED: &str = "marked:8x4:60:30";
-
-fn parsed(board: &str) -> Board {
-    board.parse().expect("a board")
-}
-
 fn tmp(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("calibrate").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).expect("the target folder is writable");
-    folder
+    empty_folder(&format!("calibrate/{name}"))
 }
 
 /// Eight captures of the chessboard, rendered once.
 fn captures() -> &'static [PathBuf] {
     static CAPTURES: OnceLock<Vec<PathBuf>> = OnceLock::new();
-    CAPTURES.get_or_init(|| {
-        let (folder, board) = (tmp("captures"), parsed(CHESS));
-        let write = |(k, pose)| {
-            let capture = folder.join(format!("board-{k}"));
-            write_capture(&capture, &rig(), &board, &pose, true, k as u64 + 1);
-            capture
-        };
-        places(&board).into_iter().enumerate().map(write).collect()
-    })
+    CAPTURES.get_or_init(|| write_captures(&tmp("captures"), 0, 8, 1))
 }
 
 /// The eight captures' calibration.
@@ -49,32 +30,8 @@ fn calibration() -> &'static (PathBuf, Value) {
         let file = tmp("calibration").join("calibration.toml");
         let run = calibrate(&["projector", "--board", CHESS, "--json", "--out", text(&file)], captures());
         assert_eq!(run.status, 0, "{}", run.err);
-        (file, serde_json::from_str(&run.out).expect("JSON"))
+        (file, run.json())
     })
-}
-
-struct Run {
-    status: i32,
-    out: String,
-    err: String,
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("a path in ASCII")
-}
-
-fn calibrate(arguments: &[&str], files: &[PathBuf]) -> Run {
-    let run = Command::new(env!("CARGO_BIN_EXE_datum")).arg("calibrate").args(arguments).args(files).output();
-    let run = run.expect("the program runs");
-    let string = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-    Run { status: run.status.code().expect("no signal"), out: string(run.stdout), err: string(run.stderr) }
-}
-
-/// The sentence that a bad input gives, with exit status 2.
-fn refused(arguments: &[&str], files: &[PathBuf]) -> String {
-    let run = calibrate(arguments, files);
-    assert_eq!(run.status, 2, "{}{}", run.out, run.err);
-    run.err.lines().last().expect("a sentence").to_string()
 }
 
 fn number(v: &Value) -> f64 {
@@ -141,7 +98,7 @@ fn the_camera_alone_comes_from_captures_or_from_pictures() {
     let out = tmp("camera").join("camera.toml");
     let run = calibrate(&["camera", "--board", CHESS, "--json", "--out", text(&out)], captures());
     assert_eq!(run.status, 0, "{}", run.err);
-    let json: Value = serde_json::from_str(&run.out).expect("JSON");
+    let json = run.json();
     let (f, sigma) = (number(&json["camera"]["fx"]), number(&json["std"]["camera.fx"]));
     assert!((f - rig().camera.fx).abs() < 5.0 * sigma && sigma < 2.0, "{f} ± {sigma}");
     assert!(
@@ -167,7 +124,7 @@ fn a_board_verifies_the_calibration_and_belies_a_bumped_one() {
             &["verify", "--board", MARKED, "--json", "--calibration", text(file)],
             std::slice::from_ref(&capture),
         );
-        let json: Value = serde_json::from_str(&run.out).unwrap_or_else(|e| panic!("{e}: {}{}", run.out, run.err));
+        let json = run.json();
         (run.status, json["verification"].clone())
     };
     assert_eq!(verify(&calibration().0).0, 0);
@@ -241,7 +198,7 @@ fn three_surveyed_circles_tie_the_camera_to_the_station() {
     };
     let run = of(&file, &["--json"]);
     assert_eq!(run.status, 0, "{}", run.err);
-    let json: Value = serde_json::from_str(&run.out).expect("JSON");
+    let json = run.json();
     let got = Calibration::read(&out).expect("written").station_from_camera.expect("surveyed");
     let truth = station_from_board * pose.inverse();
     let middle = datum::Point3::new(Vector3::new(0.0, 0.0, 740.0));

@@ -1,76 +1,28 @@
 //! `datum calibrate` through the built program: what it makes of circles that lie, limits that are none, views that show
 //! no board and points that are none.
 
-#[path = "common/board.rs"]
-mod board;
+#[path = "common/calibrate.rs"]
+mod common;
 
-use board::{place, places, rig, write_capture};
+use common::board::{self, place, places, rig, write_capture};
+use common::{CHESS, MARKED, Run, calibrate, empty_folder, parsed, refused, text, write_captures};
 use datum::Calibration;
-use datum::calibrate::{Board, Quality};
+use datum::calibrate::Quality;
 use datum::image::{Image, write_png};
 use nalgebra::Vector3;
 use serde_json::Value;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::OnceLock;
 
-const CHESS: &str = "chessboard:9x6:45";
-const MARKED: &str = "marked:8x4:60:30";
-
-fn parsed(board: &str) -> Board {
-    board.parse().expect("a board")
-}
-
 fn tmp(name: &str) -> PathBuf {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("calibrate-input").join(name);
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).expect("the target folder is writable");
-    folder
+    empty_folder(&format!("calibrate-input/{name}"))
 }
 
 /// Five captures of the chessboard, rendered once.
 fn captures() -> &'static [PathBuf] {
     static CAPTURES: OnceLock<Vec<PathBuf>> = OnceLock::new();
-    CAPTURES.get_or_init(|| {
-        let (folder, board) = (tmp("captures"), parsed(CHESS));
-        let write = |(k, pose)| {
-            let capture = folder.join(format!("board-{k}"));
-            write_capture(&capture, &rig(), &board, &pose, true, k as u64 + 31);
-            capture
-        };
-        places(&board).into_iter().skip(1).take(5).enumerate().map(write).collect()
-    })
-}
-
-struct Run {
-    status: i32,
-    out: String,
-    err: String,
-}
-
-impl Run {
-    fn json(&self) -> Value {
-        serde_json::from_str(&self.out).unwrap_or_else(|e| panic!("{e}: {}{}", self.out, self.err))
-    }
-}
-
-fn text(path: &Path) -> &str {
-    path.to_str().expect("a path in ASCII")
-}
-
-fn calibrate(arguments: &[&str], files: &[PathBuf]) -> Run {
-    let run = Command::new(env!("CARGO_BIN_EXE_datum")).arg("calibrate").args(arguments).args(files).output();
-    let run = run.expect("the program runs");
-    let string = |bytes: Vec<u8>| String::from_utf8(bytes).expect("UTF-8");
-    Run { status: run.status.code().expect("no signal"), out: string(run.stdout), err: string(run.stderr) }
-}
-
-/// What a bad input is told, with exit status 2.
-fn refused(arguments: &[&str], files: &[PathBuf]) -> String {
-    let run = calibrate(arguments, files);
-    assert_eq!(run.status, 2, "{}{}", run.out, run.err);
-    run.err
+    CAPTURES.get_or_init(|| write_captures(&tmp("captures"), 1, 5, 31))
 }
 
 /// The true rig, without a covariance, that says it knows lengths to `scale_sigma_percent`; its baseline longer by `longer`.

@@ -1,6 +1,7 @@
 //! The simulated station as a device: what each fault looks like at the boundary, that a seed says everything, and that
 //! what it shows can be taught and measured.
 //!
+//! Beside the captures of an independent renderer it is compared where the variable DATUM_DATA names their folder.
 //! The table of many vehicles is asked for: `DATUM_VEHICLES=200 cargo test --release --test simulation many -- --nocapture`.
 //! `DATUM_BARS_MM=1050` sets the bars so far out that no pose mirrors them on a feature; `DATUM_REPEAT=1` repeats the
 //! first fringe image at the end.

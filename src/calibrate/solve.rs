@@ -34,7 +34,8 @@ pub struct Solution {
     pub devices: Vec<Device>,
     /// Identity without a projector.
     pub projector_from_camera: Pose<frame::Projector, frame::Camera>,
-    /// Of the shared parameters (see [`super::adjust`]), in px, rad and mm.
+    /// Of the shared parameters, in px, rad and mm: of each device fx, fy, cx, cy, k1, k2, p1, p2, k3, skew, then the left
+    /// rotation vector and the translation between them.
     pub covariance: SMatrix<f64, SHARED, SHARED>,
     /// Reprojection errors of used points, px (root mean square of distances): camera, projector, both.
     pub rms_px: [f64; 3],
