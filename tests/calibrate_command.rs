@@ -219,7 +219,7 @@ fn three_surveyed_circles_tie_the_camera_to_the_station() {
 #[test]
 fn bad_input_is_told_with_what_to_do() {
     let few = refused(&["projector", "--board", CHESS], &captures()[..2]);
-    assert!(few.contains("found in 2 of 2, at least 5 are needed"), "{few}");
+    assert!(few.contains("found in 2 of 2, at least 4 are needed"), "{few}");
     let run = calibrate(&["projector", "--board", "chessboard:8x6:45"], captures());
     assert_eq!(run.status, 2);
     assert!(
