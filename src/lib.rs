@@ -18,6 +18,7 @@ pub mod hal;
 pub mod image;
 pub mod measure;
 pub mod optics;
+pub mod plc;
 pub mod sim;
 #[cfg(test)]
 mod testing;
