@@ -64,6 +64,7 @@ struct Shot {
     name: String,
     capture: Capture,
     red: Image<u16>,
+    ambient: Option<Image<u16>>,
     fringes: Vec<Vec<Image<u16>>>,
     repeat: Option<Image<u16>>,
     truth: CameraFromVehicle,
@@ -88,6 +89,7 @@ impl Shot {
         Self {
             name: capture.name(),
             red: load(capture.images.red.as_ref().expect("named")),
+            ambient: capture.images.ambient.as_ref().map(load),
             fringes: capture.fringes.iter().map(|set| set.images.iter().map(load).collect()).collect(),
             repeat: None,
             truth: Pose::new(r, Vector3::new(m(0, 3), m(1, 3), m(2, 3))),
@@ -95,9 +97,9 @@ impl Shot {
         }
     }
 
-    /// The red image and every fringe image.
+    /// The red image, the ambient one, and every fringe image.
     fn images(&mut self) -> impl Iterator<Item = &mut Image<u16>> {
-        std::iter::once(&mut self.red).chain(self.fringes.iter_mut().flatten())
+        std::iter::once(&mut self.red).chain(&mut self.ambient).chain(self.fringes.iter_mut().flatten())
     }
 
     fn projected(&mut self) -> impl Iterator<Item = &mut Image<u16>> {
@@ -106,7 +108,7 @@ impl Shot {
 
     fn measure(&self, setup: &Setup) -> Measurement {
         let measurer = Measurer::new(setup.calibration.clone(), setup.model.clone()).expect("a good model");
-        let mut cycle = measurer.begin(&self.capture, &self.red);
+        let mut cycle = measurer.begin(&self.capture, &self.red, self.ambient.as_ref());
         for (k, set) in self.fringes.iter().enumerate() {
             for (step, image) in (0u32..).zip(set) {
                 cycle.add_fringe(k, step, image).expect("sizes and steps are the capture's");

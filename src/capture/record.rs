@@ -104,12 +104,19 @@ pub fn record(devices: &mut Devices<'_>, plan: &Plan, folder: &Path) -> Result<C
     let red_light = meter(devices.camera, RED_LEVEL, &mut red)?;
     let mut last = devices.camera.grab(TIMEOUT, &mut red)?;
     devices.bars.set([0.0; 2])?;
+    // exposed as the red image is, to be taken off it
+    let mut ambient = buffer();
+    last = {
+        let next = devices.camera.grab(TIMEOUT, &mut ambient)?;
+        follows(&last, &next)?;
+        next
+    };
     devices.projector.show(Some(fringes))?;
     let mut trial = buffer();
     let fringe_light = meter(devices.camera, FRINGE_LEVEL, &mut trial)?;
     drop(trial);
-    let mut shots = Vec::new();
-    let order = std::iter::once(None).chain((0..fringes).map(Some)).chain(plan.repeat.then_some(Some(0)));
+    let mut shots = vec![ambient];
+    let order = (0..fringes).map(Some).chain(plan.repeat.then_some(Some(0)));
     for (k, picture) in order.enumerate() {
         devices.projector.show(picture)?;
         let mut image = buffer();

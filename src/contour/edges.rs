@@ -21,6 +21,8 @@ pub struct Edgel {
     pub strength: f64,
     /// Of the position along the normal, from pixel noise alone, px².
     pub variance: f64,
+    /// How soft the edge is: px along the normal per unit of its contrast, about the middle of the step. 0: not measured.
+    pub softness: f64,
 }
 
 /// How edges are told from noise.
@@ -135,6 +137,7 @@ pub fn find_edges(
                 normal,
                 strength: f64::from(strength[i]),
                 variance: pixel_variance * of_difference / (4.0 * curvature * curvature) / normal.amax().powi(2),
+                softness: 0.0,
             };
             found.insert(i, (edgel, false));
             if exceeds(filter.start) {
@@ -188,6 +191,8 @@ fn peak(strength: &[f32], width: usize, i: usize, g: Vector2<f32>) -> Option<(Ve
 /// The share of the way from dark to bright at which an edge is: less follows reflections inside the gap, more the
 /// shading of the hem.
 const LEVEL: f64 = 0.5;
+/// An edge's softness is taken from so far above and below that share.
+const SLOPE_LEVELS: [f64; 2] = [0.1, 0.2];
 /// Variance of a smoothed value over a pixel's, had the profile not been averaged with its neighbours.
 const NOISE_GAIN: f64 = 0.55;
 /// Step along the profile, px.
@@ -239,20 +244,33 @@ fn crossing(image: &Image<f32>, e: &Edgel, reach: f64, body: f64, variance: impl
     let about = &values[darkest.saturating_sub(2)..=(darkest + 2).min(zero)];
     let dark = about.iter().sum::<f64>() / about.len() as f64;
     let bright = values[zero..].iter().copied().fold(0.0, f64::max).min(body);
-    let level = dark + LEVEL * (bright - dark);
-    // from where the bright side is bright, down to the level
-    let top = (zero..=n).rev().find(|i| values[*i] >= bright)?;
-    let below = (0..top).rev().find(|i| values[*i] < level)?;
-    let slope_here = (values[below + 1] - values[below]) / STEP;
-    let at = place(below) + (level - values[below]) / slope_here;
-    if at.abs() > reach * 2.0 / 3.0 || bright <= dark {
+    if bright <= dark {
         return None;
     }
+    // from where the bright side is bright, down to each level in turn
+    let top = (zero..=n).rev().find(|i| values[*i] >= bright)?;
+    let mut below = top;
+    let mut cross = |share: f64| {
+        let level = dark + share * (bright - dark);
+        below = (0..=below.min(top - 1)).rev().find(|i| values[*i] < level)?;
+        let slope = (values[below + 1] - values[below]) / STEP;
+        Some((place(below) + (level - values[below]) / slope, slope, level))
+    };
+    let upper: Vec<f64> = SLOPE_LEVELS.iter().rev().map(|l| cross(LEVEL + l).map(|c| c.0)).collect::<Option<_>>()?;
+    let (at, slope_here, level) = cross(LEVEL)?;
+    let lower: Vec<f64> = SLOPE_LEVELS.iter().map(|l| cross(LEVEL - l).map(|c| c.0)).collect::<Option<_>>()?;
+    if at.abs() > reach * 2.0 / 3.0 {
+        return None;
+    }
+    let apart = |(l, (u, d)): (&f64, (&f64, &f64))| l * (u - d);
+    let squares: f64 = SLOPE_LEVELS.iter().map(|l| 2.0 * l * l).sum();
+    let softness = SLOPE_LEVELS.iter().zip(upper.iter().rev().zip(&lower)).map(apart).sum::<f64>() / squares;
     Some(Edgel {
         position: e.position + e.normal * at,
         normal: e.normal,
         strength: slope_here,
         variance: variance(level) * NOISE_GAIN / (slope_here * slope_here),
+        softness,
     })
 }
 

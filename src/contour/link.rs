@@ -123,7 +123,13 @@ mod tests {
         let angles = (0..251).map(|k| f64::from(k * 97 % 251) * std::f64::consts::TAU / 251.0).filter(|a| kept(*a));
         let edgels = angles.map(|a| {
             let normal = Vector2::new(a.cos(), a.sin());
-            Edgel { position: Pixel::new(60.0, 50.0) + 40.0 * normal, normal, strength: 30.0, variance: 1e-3 }
+            Edgel {
+                position: Pixel::new(60.0, 50.0) + 40.0 * normal,
+                normal,
+                strength: 30.0,
+                variance: 1e-3,
+                softness: 0.0,
+            }
         });
         edgels.collect()
     }
@@ -172,6 +178,7 @@ mod tests {
                 normal: Vector2::new(n, 0.0),
                 strength: 30.0,
                 variance: 1e-3,
+                softness: 0.0,
             })
         };
         let chains = join(link(&line(10.0, -1.0).chain(line(11.5, 1.0)).collect::<Vec<_>>(), 2.0), 5.0);

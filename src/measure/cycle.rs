@@ -2,20 +2,23 @@
 //! In:  images and what the capture says of them. Out: a `Measurement`. No I/O, no clock: an observer is told
 //! where stages end. No state from one vehicle to the next.
 
+use super::ambient;
 use super::body::{self, Patch, Shape, Site};
 use super::depth::{BodyDepth, Decoded, red_noise};
 use super::edges;
 use super::judge::{self, Evidence, Judged, Refused};
 use super::light::{Light, saturated_share};
 use super::locate::{Located, locate};
+use super::moved::Motion;
 use super::regions::{self, Region};
-use super::{Drawing, Measurement, Measurer};
+use super::{Drawing, Measurement, Measurer, TYPICAL_DISTANCE_MM};
 use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
 use crate::fringe::{self, Axis, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
 use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
 use crate::image::{Image, Window};
 use crate::optics::Pixel;
+use crate::vehicle::Class;
 use nalgebra::{Matrix3, Vector3};
 
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
@@ -47,14 +50,19 @@ const STILL: (f64, f64) = (1e-6, 1e-4);
 const CAPTURE_MM: (f64, f64) = (5.0, 1.5);
 /// How far inside the panel's border depth is believed: while the pose is coarse, and after, mm.
 pub(super) const EROSION_MM: (f64, f64) = (6.0, 1.5);
-/// A repeated image may differ from the first by this many times its noise power before something has moved.
-const MOVED: f64 = 1.6;
+/// A body that has moved by this much, mm, and so many sigmas, is not measured.
+const MOVED_MM: f64 = 0.015;
+const MOVED_SIGMAS: f64 = 6.0;
+/// Nor is one whose repeated image differs from the first by this many times its noise power: dark paint reaches 3.
+const CHANGED: f64 = 5.0;
 /// Least light on the body, as a share of white: ten of 255 levels, below which a gap's edge is a few steps of rounding.
 const MIN_LIGHT: f64 = 0.04;
 /// Blur (px, 1 sigma) beyond which a gap of a few pixels is no longer a line with two edges.
 const MAX_BLUR_PX: f64 = 3.0;
 /// Regions met with the coarse surface that fit the features worse (chi²) hold one that is none of them.
 const CONTRADICTING: f64 = 30.0;
+/// What paint and light may have moved edges by where the flap's opening was not seen, mm.
+const UNKNOWN_GROWTH_MM: f64 = 0.08;
 /// Share of a region's pixels that may be saturated in the red image.
 const MAX_SATURATED: f64 = 0.25;
 
@@ -73,10 +81,14 @@ pub struct Cycle<'a> {
 
 impl<'a> Cycle<'a> {
     /// Finds the regions in `red`, before any fringe image is there.
-    pub(super) fn new(measurer: &'a Measurer, capture: &'a Capture, red: &Image<u16>) -> Self {
+    pub(super) fn new(
+        measurer: &'a Measurer,
+        capture: &'a Capture,
+        red: &Image<u16>,
+        ambient: Option<&Image<u16>>,
+    ) -> Self {
         let camera = &measurer.calibration.rig.camera;
-        let as_f32 =
-            Image { width: red.width, height: red.height, pixels: red.pixels.iter().map(|&v| f32::from(v)).collect() };
+        let as_f32 = ambient::without(red, ambient, &capture.camera);
         let mut regions = regions::find(&as_f32, camera, &measurer.templates);
         let first_pose = regions::first_pose(camera, &measurer.templates, &mut regions);
         let windows = first_pose.map(|pose| region_windows(measurer, &pose)).unwrap_or_default();
@@ -106,18 +118,11 @@ impl<'a> Cycle<'a> {
         let gain = self.capture.fringes.first().and_then(|f| f.gain_dn_per_e).unwrap_or(TYPICAL_GAIN);
         let camera = &self.capture.camera;
         let noise = NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level);
-        let (w, white) = (self.fringes.window, self.capture.camera.white_level());
-        let (mut sum, mut n) = (0.0, 0.0);
-        for y in w.y..w.y + w.height {
-            for (a, b) in first.row(y)[w.x..w.x + w.width].iter().zip(&repeat.row(y)[w.x..w.x + w.width]) {
-                let (a, b) = (f64::from(*a), f64::from(*b));
-                if a < white && b < white {
-                    sum += (a - b).powi(2) / (2.0 * noise.variance(0.5 * (a + b)));
-                    n += 1.0;
-                }
-            }
-        }
-        n > 0.0 && sum / n > MOVED
+        let Some(motion) = Motion::between(first, repeat, self.fringes.window, camera.white_level(), &noise) else {
+            return false;
+        };
+        let mm = motion.px * TYPICAL_DISTANCE_MM / self.measurer.calibration.rig.camera.fx;
+        (mm > MOVED_MM && motion.sigmas > MOVED_SIGMAS) || motion.rest > CHANGED
     }
 
     /// The measurement. `ended` is told when each stage has ended.
@@ -218,18 +223,24 @@ impl Run<'_, '_> {
             let masks = if pass == 0 { &c.measurer.far_masks } else { &c.measurer.near_masks };
             let sites = sites(templates, masks, &pose);
             let mut coverage = 1f64;
-            self.located = (0..templates.len())
-                .map(|k| {
-                    if c.red_saturated[k] > MAX_SATURATED {
-                        return Err(Code::Saturated);
-                    }
-                    // a region that was not found may still be where the others' pose expects it
-                    let patch = self.patch(&body, &sites[k], k)?;
-                    coverage = coverage.min(patch.coverage);
-                    locate(&templates[k], &c.measurer.surfaces[k], &patch, &rays, capture, (rig, self.axis))
-                        .map_err(|code| c.regions[k].err().unwrap_or(code))
-                })
-                .collect();
+            let mut locate = |k: usize, growth_mm: Option<f64>| {
+                if c.red_saturated[k] > MAX_SATURATED {
+                    return Err(Code::Saturated);
+                }
+                // a region that was not found may still be where the others' pose expects it
+                let patch = self.patch(&body, &sites[k], k)?;
+                coverage = coverage.min(patch.coverage);
+                locate(&templates[k], &c.measurer.surfaces[k], &patch, &rays, capture, growth_mm, (rig, self.axis))
+                    .map_err(|code| c.regions[k].err().unwrap_or(code))
+            };
+            // the flap's opening first: it tells how much paint and light have done to edges
+            let opening = c.measurer.vehicle.features.iter().position(|f| f.class == Class::Point3);
+            let seen = opening.map(|k| locate(k, None));
+            let growth = seen.as_ref().and_then(|l| l.as_ref().ok()).map_or(UNKNOWN_GROWTH_MM, |l| l.growth_mm);
+            let rest =
+                (0..templates.len()).map(|k| if Some(k) == opening { None } else { Some(locate(k, Some(growth))) });
+            let rest: Vec<_> = rest.collect();
+            self.located = rest.into_iter().map(|l| l.or_else(|| seen.clone()).expect("either")).collect();
             self.coverage = Some(coverage);
             let evidence = self.evidence();
             if evidence.len() < 3 {

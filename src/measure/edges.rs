@@ -4,14 +4,18 @@
 use super::TYPICAL_DISTANCE_MM;
 use crate::contour::{EdgeFilter, Edgel, cross_level, find_edges};
 use crate::fringe::NoiseLaw;
+use crate::geometry::robust;
 use crate::image::{Image, Window};
 use crate::optics::{Lens, Pixel};
 use nalgebra::Vector3;
+use std::collections::HashMap;
 
 /// An edgel with its ray, and the ray through the point 1 px towards bright; camera frame, z = 1.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct EdgeRay {
     pub(crate) edgel: Edgel,
+    /// How soft it is with those beside it, px per unit of its contrast.
+    pub(crate) softness_px: f64,
     pub(crate) ray: Vector3<f64>,
     pub(crate) bright: Vector3<f64>,
 }
@@ -74,6 +78,10 @@ fn reach_px(camera: &Lens) -> f64 {
     (REACH_MM * camera.fx / TYPICAL_DISTANCE_MM).max(REACH_PX)
 }
 
+/// Softness is the same along an edge over so many px, of the same direction to within this cosine.
+const NEIGHBOURS_PX: f64 = 8.0;
+const SAME_EDGE: f64 = 0.9;
+
 /// The edges inside `windows` of an image already without glints.
 pub(crate) fn edge_rays(
     image: &Image<f32>,
@@ -92,10 +100,31 @@ pub(crate) fn edge_rays(
             f64::from(level.at(clamp(p.x, level.width), clamp(p.y, level.height)))
         };
         let crossings = cross_level(image, &found, reach_px(camera), body, |level| noise.variance(level));
-        out.extend(crossings.into_iter().filter_map(|edgel| {
+        let soft = softness(&crossings);
+        out.extend(crossings.into_iter().zip(soft).filter_map(|(edgel, soft)| {
             let bright: Pixel = edgel.position + edgel.normal;
-            Some(EdgeRay { edgel, ray: camera.ray(&edgel.position)?, bright: camera.ray(&bright)? })
+            Some(EdgeRay { edgel, softness_px: soft, ray: camera.ray(&edgel.position)?, bright: camera.ray(&bright)? })
         }));
     }
     out
+}
+
+/// The softness of each edge: the median of those within [`NEIGHBOURS_PX`] along it, as a single one is too noisy.
+fn softness(edgels: &[Edgel]) -> Vec<f64> {
+    let cell = |e: &Edgel| ((e.position.x / NEIGHBOURS_PX) as i64, (e.position.y / NEIGHBOURS_PX) as i64);
+    let mut cells: HashMap<(i64, i64), Vec<usize>> = HashMap::new();
+    for (i, e) in edgels.iter().enumerate() {
+        cells.entry(cell(e)).or_default().push(i);
+    }
+    let beside =
+        |e: &Edgel, o: &Edgel| (o.position - e.position).norm() <= NEIGHBOURS_PX && o.normal.dot(&e.normal) > SAME_EDGE;
+    let mut values = Vec::new();
+    let mut of = |e: &Edgel| {
+        values.clear();
+        let (x, y) = cell(e);
+        let around = (0..9).filter_map(|k| cells.get(&(x + k % 3 - 1, y + k / 3 - 1))).flatten();
+        values.extend(around.map(|&j| &edgels[j]).filter(|o| beside(e, o)).map(|o| o.softness));
+        robust::median(&mut values)
+    };
+    edgels.iter().map(&mut of).collect()
 }

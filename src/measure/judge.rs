@@ -22,6 +22,8 @@ const EDGE_BIAS_MM: f64 = 0.027;
 /// How much more, times the share of the contour that is not seen: with 30 % hidden it is stated five and a half times
 /// as large. An assumption: how much a hidden stretch spoils what is beside it was not measured.
 const HIDDEN_BIAS: f64 = 15.0;
+/// And how much more where the opening has grown or shrunk against the taught one: as a share of that.
+const HEM_BIAS: f64 = 0.7;
 /// The same across the panel: fringe harmonics, defocus; and never nothing.
 const NORMAL_BIAS_MM: f64 = 0.005;
 /// Paint and light shift all features together along the panel, 1 sigma, mm: black against white in one pose 0.03.
@@ -71,6 +73,7 @@ impl Evidence<'_> {
         let across = n * n.transpose();
         // whatever hides a part of a contour also shades or blurs what is left beside it
         let edge_bias = EDGE_BIAS_MM * (1.0 + HIDDEN_BIAS * (1.0 - self.located.share));
+        let edge_bias = edge_bias.hypot(HEM_BIAS * self.located.growth_mm);
         self.located.noise + (Matrix3::identity() - across) * edge_bias.powi(2) + across * NORMAL_BIAS_MM.powi(2)
     }
 

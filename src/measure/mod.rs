@@ -5,15 +5,18 @@
 //!
 //! [`Cycle`] is one vehicle: red image → regions; fringe images → depth; `finish` → patches, contours, pose, verdict.
 
+mod ambient;
 mod body;
 mod consistency;
 mod corner;
 mod cycle;
 mod depth;
 mod edges;
+mod hem;
 mod judge;
 mod light;
 mod locate;
+mod moved;
 mod panel;
 mod regions;
 mod report;
@@ -77,9 +80,15 @@ impl Measurer {
         Self { calibration, errors: Box::new(errors), vehicle, templates, surfaces, far_masks, near_masks }
     }
 
-    /// Begins a vehicle with its red image, whose size is the calibration's. `capture` says what the images are.
-    pub fn begin<'a>(&'a self, capture: &'a Capture, red: &crate::Image<u16>) -> Cycle<'a> {
-        Cycle::new(self, capture, red)
+    /// Begins a vehicle with its red image, whose size is the calibration's, and the one without bars and projector, if
+    /// there is one. `capture` says what the images are.
+    pub fn begin<'a>(
+        &'a self,
+        capture: &'a Capture,
+        red: &crate::Image<u16>,
+        ambient: Option<&crate::Image<u16>>,
+    ) -> Cycle<'a> {
+        Cycle::new(self, capture, red, ambient)
     }
 
     fn station(&self) -> Station {
@@ -102,8 +111,9 @@ pub fn measure(
     ended: &mut dyn FnMut(Stage),
 ) -> Result<(Measurement, Drawing), capture::Error> {
     let red = capture.load(capture.red()?)?;
+    let ambient = capture.images.ambient.as_ref().map(|file| capture.load(file)).transpose()?;
     ended(Stage::Read);
-    let mut cycle = measurer.begin(capture, &red);
+    let mut cycle = measurer.begin(capture, &red, ambient.as_ref());
     ended(Stage::Detect);
     let mut first = None;
     for (k, set) in capture.fringes.iter().enumerate() {

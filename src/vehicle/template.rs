@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// First bytes of a template file; the last one is the major version.
-const MAGIC: [u8; 8] = *b"datumtp\x01";
+const MAGIC: [u8; 8] = *b"datumtp\x02";
 
 /// One taught feature. Local coordinates: u, v along the panel, w outward, origin where it was clicked, mm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
