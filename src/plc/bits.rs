@@ -14,7 +14,7 @@ pub(super) struct Bit {
 macro_rules! bits {
     ($($module:ident: $($name:ident $doc:literal)*;)*) => {$(
         pub(super) mod $module {
-            #[expect(non_camel_case_types, reason = "names as on the page")]
+            #[allow(clippy::upper_case_acronyms, non_camel_case_types, reason = "names as on the page")]
             enum Position { $($name),* }
             $(pub(in crate::plc) const $name: u16 = 1 << Position::$name as u16;)*
             /// From bit 0 on.

@@ -162,7 +162,7 @@ mod tests {
     }
 
     fn run<T>(future: impl Future<Output = T>) -> T {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(false).build();
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build();
         runtime.expect("a runtime").block_on(future)
     }
 
@@ -225,7 +225,7 @@ mod tests {
         assert_eq!(of(&[0x0f, 0, 1, 0, 2, 1, 3]), Ok(Request::WriteMultipleCoils(1, vec![true, true].into())));
         assert_eq!(
             of(&[23, 0, 0, 0, 125, 0, 1, 0, 1, 2, 0, 9]),
-            Ok({ Request::ReadWriteMultipleRegisters(0, 125, 1, vec![9].into()) })
+            Ok(Request::ReadWriteMultipleRegisters(0, 125, 1, vec![9].into()))
         );
     }
 

@@ -1016,7 +1016,7 @@ fn whatever_is_written_and_reported_no_pose_is_shown_without_its_vehicle() {
         let mut b = Bench::new(u.arbitrary()?);
         for _ in 0..40 {
             b.now += Duration::from_millis(u64::from(u.arbitrary::<u16>()?));
-            let client = u64::from(u.int_in_range(1..=2)?);
+            let client: ClientId = u.int_in_range(1..=2)?;
             match u.int_in_range(0..=8)? {
                 0..=3 => {
                     let control = u16::from(u.arbitrary::<u8>()?) | ENABLE;

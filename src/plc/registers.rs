@@ -487,7 +487,8 @@ mod tests {
             let mut words = vec![1, 2, 3, 4, 5, 6, 0, 8];
             words.extend(words::of_text("WBA00000000000005", 9));
             h.step(Duration::ZERO, Event::Write { client: 1, address: 0, words: &words });
-            let read = COMMAND.iter().flat_map(|r| r.each().flat_map(|(_, _, i)| r.read.value(&h, i)).collect::<Vec<_>>());
+            let read =
+                COMMAND.iter().flat_map(|r| r.each().flat_map(|(_, _, i)| r.read.value(&h, i)).collect::<Vec<_>>());
             assert_eq!(read.collect::<Vec<_>>(), words);
         }
     }
@@ -575,13 +576,28 @@ mod tests {
     fn only_what_lies_within_a_block_can_be_read() {
         let s = Snapshot::new(&handshake(WordOrder::HighFirst));
         for (address, quantity, there) in [
-            (0, 120, true), (0, 121, false), (119, 1, true), (120, 1, false), (199, 2, false), (200, 40, true),
-            (240, 1, false), (300, 60, true), (400, 40, true), (439, 2, false), (440, 1, false), (65535, 2, false),
+            (0, 120, true),
+            (0, 121, false),
+            (119, 1, true),
+            (120, 1, false),
+            (199, 2, false),
+            (200, 40, true),
+            (240, 1, false),
+            (300, 60, true),
+            (400, 40, true),
+            (439, 2, false),
+            (440, 1, false),
+            (65535, 2, false),
         ] {
             assert_eq!(s.input(address, quantity).is_ok(), there, "{address} {quantity}");
         }
         for (address, quantity, there) in [
-            (0, 64, true), (63, 2, false), (64, 1, false), (999, 2, false), (1000, 120, true), (1119, 2, false),
+            (0, 64, true),
+            (63, 2, false),
+            (64, 1, false),
+            (999, 2, false),
+            (1000, 120, true),
+            (1119, 2, false),
             (65535, 1, false),
         ] {
             assert_eq!(s.holding(address, quantity).is_ok(), there, "{address} {quantity}");
