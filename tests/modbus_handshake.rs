@@ -17,9 +17,9 @@ fn a_vehicle_goes_through_the_whole_handshake() {
     assert_eq!(client.write(0, &[ENABLE]), 0);
     client.wait(READY | OWNER_OK, 0);
     for id in [0x0001_0005, 6, 7] {
-        let block = client.measure(id);
+        let (block, [high, low]) = (client.measure(id), [(id >> 16) as u16, id as u16]);
         assert_eq!(block[0] & (RESULT_VALID | PASS), RESULT_VALID | PASS);
-        assert_eq!([block[13], block[14], block[17], block[18]], [(id >> 16) as u16, id as u16; 2].concat()[..]);
+        assert_eq!([block[13], block[14], block[17], block[18]], [high, low, high, low]);
         assert_eq!((block[12], block[15]), (block[119], 1));
         let bytes: Vec<u8> = block[12..109].iter().flat_map(|w| w.to_be_bytes()).collect();
         assert_eq!(block[118], crc::Crc::<u16>::new(&crc::CRC_16_MODBUS).checksum(&bytes));

@@ -975,6 +975,9 @@ fn a_write_that_sets_something_reserved_is_rejected_whole_with_103() {
         b.trigger(5);
         b.expect(status::TRIGGER_ACK, status::CMD_REJECTED);
     }
+    let mut b = Bench::new(false);
+    assert!(b.write(PLC, 0, &[ENABLE | 0x8000]));
+    b.expect(status::CMD_REJECTED, status::OWNER_OK); // who wants to own sees why it does not
     let mut b = Bench::owned();
     assert!(b.write(PLC, 17, &[0; 47]));
     b.expect(0, status::CMD_REJECTED);

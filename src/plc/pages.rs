@@ -129,7 +129,10 @@ pub fn function_block() -> String {
         ("{MODEL_CODE}", find("MODEL_CODE").to_string()),
         ("{VIN}", find("VIN").to_string()),
     ];
-    words.iter().fold(block.to_owned(), |text, (key, value)| text.replace(key, value))
+    let text = words.iter().fold(block.to_owned(), |text, (key, value)| text.replace(key, value));
+    // some PLCs' tools know ASCII only
+    let ascii = [("µ", "u"), ("°", " deg"), ("×", "x "), ("‰", "per mille"), ("…", "...")];
+    ascii.iter().fold(text, |text, (from, to)| text.replace(from, to))
 }
 
 /// The address of a register.
@@ -169,7 +172,7 @@ mod tests {
     #[test]
     fn nothing_is_left_to_fill_in_in_the_function_block() {
         let text = function_block();
-        assert!(!text.contains('{') && !text.contains('}'), "{text}");
+        assert!(text.is_ascii() && !text.contains('{') && !text.contains('}'), "{text}");
         assert!(text.contains("X := DWORD_TO_DINT(DATUM_DWORD(In[17], In[18], LowFirst));"));
     }
 }

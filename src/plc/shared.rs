@@ -115,6 +115,7 @@ impl Shared {
     /// Steps the handshake, hands its orders on and publishes what the registers now show.
     fn advance(&self, core: &mut Core, event: Event) -> Result<(), NotOwner> {
         let now = self.began.elapsed();
+        let before = (core.handshake.owner.map(|o| o.client), core.handshake.error_seq);
         let step = core.handshake.step(now, event);
         if step.not_owner {
             return Err(NotOwner);
@@ -129,6 +130,14 @@ impl Shared {
             }
         }
         self.newest.put(Snapshot::new(&core.handshake));
+        let h = &core.handshake;
+        if h.owner.map(|o| o.client) != before.0 {
+            let owner = h.owner.and_then(|o| self.clients().iter().find(|c| c.id == o.client).map(|c| c.address));
+            tracing::info!(?owner, "the owner of the command block");
+        }
+        if let Some((code, detail)) = h.error.filter(|_| h.error_seq != before.1) {
+            tracing::warn!(detail, "to the PLC: {code}");
+        }
         Ok(())
     }
 
@@ -141,15 +150,15 @@ impl Shared {
     pub(super) fn join(&self, id: ClientId, address: SocketAddr, task: AbortHandle) {
         let owner = self.core().handshake.owner.map(|o| o.client);
         let mut clients = self.clients();
-        if clients.len() >= CLIENTS {
-            let others = clients.iter().enumerate().filter(|(_, c)| Some(c.id) != owner);
-            if let Some((at, _)) = others.min_by_key(|(_, c)| c.heard) {
-                let gone = clients.remove(at);
-                tracing::info!(address = %gone.address, "the longest idle client makes room for {address}");
-                gone.task.abort();
-            }
-        }
+        let others = clients.iter().enumerate().filter(|(_, c)| Some(c.id) != owner);
+        let idle = others.min_by_key(|(_, c)| c.heard).map(|(at, _)| at);
+        let gone = idle.filter(|_| clients.len() >= CLIENTS).map(|at| clients.remove(at));
         clients.push(Client { id, address, heard: Instant::now(), task });
+        drop(clients);
+        if let Some(gone) = gone {
+            tracing::info!(address = %gone.address, "the longest idle client makes room for {address}");
+            gone.task.abort();
+        }
     }
 
     /// A connection is gone.
