@@ -64,28 +64,63 @@ fn random_frames_beside_an_owner_panic_nothing_hang_nothing_and_write_nothing() 
     assert_eq!(PANICS.load(Ordering::Relaxed), 0);
 }
 
-/// Sends `frames` frames over as many connections as that takes; returns how many were sent.
+/// How many frames a client sends before it waits until the server has answered them all.
+const BATCH: usize = 64;
+/// A sound read with a transaction number of its own: when it is answered, all before it has been dealt with.
+const MARK: [u8; 12] = [0xFF, 0xFF, 0, 0, 0, 6, 1, 4, 1, 44, 0, 1];
+
+/// Sends `frames` frames over as many connections as that takes, and sees all of them dealt with; returns how many.
 fn fuzz(address: SocketAddr, seed: u64, frames: usize) -> usize {
     let mut random = Random((seed + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15));
     let mut sent = 0;
     while sent < frames {
-        let Ok(mut stream) = TcpStream::connect(address) else { continue };
-        let mut back = stream.try_clone().expect("a second handle");
-        let sink = std::thread::spawn(move || {
-            let mut buffer = [0; 4096];
-            while back.read(&mut buffer).is_ok_and(|n| n > 0) {}
-        });
-        while sent < frames {
-            let frame = random.frame();
-            sent += 1;
-            if stream.write_all(&frame).is_err() {
-                break;
+        let mut stream = TcpStream::connect(address).expect("the server listens");
+        stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a timeout");
+        let mut whole = true; // until a frame breaks the framing: then the server closes
+        while whole && sent < frames {
+            let mut batch = Vec::new();
+            for _ in 0..BATCH {
+                let (frame, sound) = random.frame();
+                batch.extend(frame);
+                sent += 1;
+                whole = sound;
+                if !whole {
+                    break;
+                }
+            }
+            batch.extend(MARK);
+            let written = stream.write_all(&batch);
+            assert!(written.is_ok() || !whole, "{written:?}");
+            if !whole {
+                let _ = stream.shutdown(std::net::Shutdown::Write);
+            }
+            let open = answered(&mut stream);
+            assert!(open || !whole, "a connection whose frames are whole stays open");
+            if !whole {
+                let _ = stream.read_to_end(&mut Vec::new()); // until it is off the server's list
             }
         }
-        let _ = stream.shutdown(std::net::Shutdown::Both);
-        sink.join().expect("a sink does not panic");
     }
     sent
+}
+
+/// Reads responses up to that to [`MARK`]; false: the server closed before.
+fn answered(stream: &mut TcpStream) -> bool {
+    let mut header = [0; 7];
+    loop {
+        match stream.read_exact(&mut header) {
+            Ok(()) => {}
+            Err(e) if e.kind() == std::io::ErrorKind::WouldBlock => panic!("the server hangs"),
+            Err(_) => return false,
+        }
+        let mut body = vec![0; usize::from(u16::from_be_bytes([header[4], header[5]])) - 1];
+        if stream.read_exact(&mut body).is_err() {
+            return false;
+        }
+        if header[..2] == MARK[..2] {
+            return true;
+        }
+    }
 }
 
 /// Xorshift64* (Vigna 2016).
@@ -103,8 +138,8 @@ impl Random {
         self.next(256) as u8
     }
 
-    /// Mostly frames whose header is right, as others end the connection.
-    fn frame(&mut self) -> Vec<u8> {
+    /// A frame, and whether its header is right, as most are: others end the connection.
+    fn frame(&mut self) -> (Vec<u8>, bool) {
         let mut pdu = self.request();
         match self.next(4) {
             0 => {
@@ -120,9 +155,10 @@ impl Random {
         pdu.truncate(253);
         let unit = [1, 1, 1, 0, 255, self.byte()][self.next(6) as usize];
         let length = (1 + pdu.len() as u16).to_be_bytes();
-        let mut frame = vec![self.byte(), self.byte(), 0, 0, length[0], length[1], unit];
+        let mut frame = vec![self.byte() & 0x7F, self.byte(), 0, 0, length[0], length[1], unit];
         frame.extend(pdu);
-        if self.next(200) == 0 {
+        let sound = self.next(200) != 0;
+        if !sound {
             match self.next(4) {
                 0 => frame.truncate(self.next(frame.len() as u64) as usize), // what follows is its rest
                 1 => frame = (0..self.next(300)).map(|_| self.byte()).collect(),
@@ -132,7 +168,7 @@ impl Random {
                 }
             }
         }
-        frame
+        (frame, sound)
     }
 
     fn request(&mut self) -> Vec<u8> {

@@ -448,11 +448,11 @@ mod tests {
 
     #[test]
     fn registers_lie_in_order_without_overlap_inside_their_blocks_with_a_name_and_a_sentence() {
-        for (rows, blocks) in [(COMMAND, &[0..HOLDING][..]), (STATUS, &INPUT[..])] {
+        for (rows, blocks) in [(COMMAND, vec![(0, HOLDING)]), (STATUS, INPUT.map(|b| (b.start, b.end)).to_vec())] {
             assert!(rows.windows(2).all(|r| r[0].span().end <= r[1].address));
             for row in rows {
                 let span = row.span();
-                assert!(blocks.iter().any(|b| b.start <= span.start && span.end <= b.end), "{:?}", row.names);
+                assert!(blocks.iter().any(|(start, end)| *start <= span.start && span.end <= *end), "{:?}", row.names);
                 assert!(!row.names.is_empty() && row.doc.ends_with(['.', '…']), "{:?}", row.names);
             }
         }
