@@ -5,6 +5,7 @@ mod calibrate;
 mod measure;
 mod overlay;
 mod patterns;
+mod registers;
 mod release;
 mod simulate;
 mod teach;
@@ -32,6 +33,8 @@ enum Command {
     Calibrate(calibrate::Arguments),
     /// Writes the fringe patterns as PNGs
     Patterns(patterns::Arguments),
+    /// Prints the PLC interface
+    Registers(registers::Arguments),
     /// Writes captures of a simulated station, with their truth
     Simulate(simulate::Arguments),
 }
@@ -58,6 +61,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
         Command::Release(a) => release::run(&a),
         Command::Calibrate(a) => calibrate::run(&a),
         Command::Patterns(a) => patterns::run(&a),
+        Command::Registers(a) => registers::run(&a),
         Command::Simulate(a) => simulate::run(&a),
     }
 }
