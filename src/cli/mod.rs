@@ -5,6 +5,7 @@ mod calibrate;
 mod measure;
 mod overlay;
 mod patterns;
+mod records;
 mod release;
 mod simulate;
 mod teach;
@@ -34,6 +35,8 @@ enum Command {
     Patterns(patterns::Arguments),
     /// Writes captures of a simulated station, with their truth
     Simulate(simulate::Arguments),
+    /// The journal: lists and exports records, measures kept captures again
+    Records(Box<records::Arguments>),
 }
 
 /// The exit status; an error of [`run`] is bad input.
@@ -59,6 +62,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
         Command::Calibrate(a) => calibrate::run(&a),
         Command::Patterns(a) => patterns::run(&a),
         Command::Simulate(a) => simulate::run(&a),
+        Command::Records(a) => records::run(&a),
     }
 }
 
