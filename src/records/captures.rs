@@ -20,7 +20,7 @@ use std::thread::{self, JoinHandle};
 pub const CAPTURES: &str = "captures";
 /// Ends the name of a folder that is being written or removed.
 const PART: &str = "part";
-/// Captures that may wait while one is written. Each holds its images in memory, 75 MB at full resolution, so it is one.
+/// Captures that may wait while one is written. Each holds its images in memory, 75 MB at full size, so it is one.
 const WAITING: usize = 1;
 
 /// What a writer's failing looks like: any error; "no room" is looked for among its causes.
@@ -47,8 +47,8 @@ impl Default for Policy {
 }
 
 impl Policy {
-    /// Whether the images of a vehicle are kept: every one that is not ok, every n-th that is, and whatever the PLC asks
-    /// for. `totals`: as they are before this vehicle.
+    /// Whether the images of a vehicle are kept: every one that is not ok, every n-th that is, and whatever the PLC
+    /// asks for. `totals`: as they are before this vehicle.
     pub fn keeps(self, verdict: Verdict, asked: bool, totals: &Totals) -> bool {
         let nth = self.nth_good != 0 && totals.ok.wrapping_add(1).is_multiple_of(self.nth_good);
         asked || verdict != Verdict::Ok || nth
@@ -95,9 +95,9 @@ impl Captures {
     /// The usual floor, bytes: room for the journal to grow, and some.
     pub const FLOOR: u64 = 512 << 20;
 
-    /// Has `write` write a capture into the folder it is given, for `record`. Returns at once: whether it was taken. Where
-    /// one waits already the new one is not, and is counted: what was promised stays promised. Whether writing went
-    /// well is said by [`Captures::ring`].
+    /// Has `write` write a capture into the folder it is given, for `record`. Returns at once: whether it was taken.
+    /// Where one waits already the new one is not, and is counted: what was promised stays promised. Whether writing
+    /// went well is said by [`Captures::ring`].
     #[must_use]
     pub fn keep(&self, record: u64, write: impl FnOnce(&Path) -> Result<(), WriteError> + Send + 'static) -> bool {
         let queue = self.queue.as_ref().expect("there until it is dropped");

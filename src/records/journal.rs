@@ -58,8 +58,8 @@ pub struct Journal {
     open: Option<Open>,
 }
 
-/// The folder's lock. Given back by name: a program that is being started by another thread shares the file for a moment,
-/// and with it a lock that is merely closed.
+/// The folder's lock. Given back by name: a program that another thread is starting shares the file for a moment, and
+/// with it a lock that is merely closed.
 struct Lock(File);
 
 impl Drop for Lock {

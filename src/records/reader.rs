@@ -1,6 +1,6 @@
 //! Reading the journal, also while the service writes it.
-//! In:  the folder. Out: whole records in the order of their ids, and where there was damage. No lock is taken: a record
-//! that is being written has no valid CRC yet, and is not seen.
+//! In:  the folder. Out: whole records in the order of their ids, and where there was damage. No lock is taken: a
+//! record that is being written has no valid CRC yet, and is not seen.
 //! Not here: repair; only the writer changes files.
 
 use super::Record;

@@ -22,8 +22,8 @@ pub struct Reference {
 }
 
 impl Reference {
-    /// Of what is measured by. `templates`: the bytes of the model's template files, in its features' order; their names
-    /// are the model's, since its fingerprint holds them.
+    /// Of what is measured by. `templates`: the bytes of the model's template files, in its features' order; their
+    /// names are the model's, since its fingerprint holds them.
     pub fn new(calibration: Calibration, vehicle: VehicleFile, templates: Vec<Vec<u8>>) -> Self {
         Self { calibration, vehicle, templates }
     }

@@ -164,8 +164,10 @@ fn field(text: &str) -> String {
 #[cfg(test)]
 pub(super) fn samples() -> Vec<Record> {
     use super::{Alarm, Boot, Totals, Verdict, Verification};
-    let measured = "{\"verdict\":\"ok\",\"reference_mm\":{\"x\":-50.25,\"y\":0.125,\"z\":0.0},\"euler_deg\":{\"roll\":0.01,\
-                    \"pitch\":-0.02,\"yaw\":12.5},\"uncertainty_k2\":{\"x_mm\":0.2,\"yaw_deg\":0.03},\"residual_rms_mm\":0.06}";
+    let measured = concat!(
+        r#"{"verdict":"ok","reference_mm":{"x":-50.25,"y":0.125,"z":0.0},"euler_deg":{"roll":0.01,"pitch":-0.02,"#,
+        r#""yaw":12.5},"uncertainty_k2":{"x_mm":0.2,"yaw_deg":0.03},"residual_rms_mm":0.06}"#
+    );
     let good = Vehicle {
         trigger_id: 42,
         vin: "WDATUM00000000042".into(),
