@@ -49,7 +49,7 @@ const LARGE: u32 = 1_000_000;
 
 /// The n-th vehicle: the same for the same n, and as long as none of its neighbours.
 fn vehicle(n: u32) -> Event {
-    let more = if n < LARGE || n % 2 == 0 { n % 7 * 150 } else { 400_000 };
+    let more = if n < LARGE || n.is_multiple_of(2) { n % 7 * 150 } else { 400_000 };
     let text: String = (0..40 + more).map(|k| char::from(b'a' + ((n + k) % 26) as u8)).collect();
     Event::Vehicle(Box::new(Vehicle {
         trigger_id: n,
