@@ -19,6 +19,7 @@ pub mod image;
 pub mod measure;
 pub mod optics;
 pub mod plc;
+pub mod records;
 pub mod sim;
 #[cfg(test)]
 mod testing;

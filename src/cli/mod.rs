@@ -6,6 +6,7 @@ mod measure;
 mod overlay;
 mod patterns;
 mod registers;
+mod records;
 mod release;
 mod simulate;
 mod teach;
@@ -37,6 +38,8 @@ enum Command {
     Registers(registers::Arguments),
     /// Writes captures of a simulated station, with their truth
     Simulate(simulate::Arguments),
+    /// The journal: lists and exports records, measures kept captures again
+    Records(Box<records::Arguments>),
 }
 
 /// The exit status; an error of [`run`] is bad input.
@@ -63,6 +66,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
         Command::Patterns(a) => patterns::run(&a),
         Command::Registers(a) => registers::run(&a),
         Command::Simulate(a) => simulate::run(&a),
+        Command::Records(a) => records::run(&a),
     }
 }
 
