@@ -20,8 +20,10 @@ pub mod measure;
 pub mod optics;
 pub mod plc;
 pub mod sim;
+pub mod station;
 #[cfg(test)]
 mod testing;
+pub mod time;
 pub mod vehicle;
 
 pub use calibrate::Calibration;

@@ -15,6 +15,7 @@ mod judge;
 mod light;
 mod locate;
 mod panel;
+mod patches;
 mod regions;
 mod report;
 mod result;
