@@ -6,7 +6,7 @@ mod fringes;
 mod record;
 pub(crate) mod shoot;
 
-pub use record::{Plan, RecordError, record, write};
+pub use record::{Plan, RecordError, record, record_while, write};
 pub use shoot::{Described, Devices, Light, SETS, ShootError, Shooting, Shots, pictures};
 
 pub use fringes::{Fringes, TYPICAL_GAIN, coordinates};

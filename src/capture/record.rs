@@ -59,7 +59,17 @@ const METERED: f64 = 0.05;
 
 /// Records what stands there into `folder`, which is made: red, ambient, all fringes. Leaves the lights off.
 pub fn record(devices: &mut Devices<'_>, plan: &Plan, folder: &Path) -> Result<Capture, RecordError> {
-    let taken = taken(devices, plan);
+    record_while(devices, plan, folder, &mut || true)
+}
+
+/// As [`record`], as long as `go_on` says so before each image.
+pub fn record_while(
+    devices: &mut Devices<'_>,
+    plan: &Plan,
+    folder: &Path,
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<Capture, RecordError> {
+    let taken = taken(devices, plan, go_on);
     // what went wrong first is told; a light that cannot be turned off would go wrong here, too
     let dark = devices.bars.set([0.0; 2]).map_err(ShootError::Lights).map(|_| ());
     let dark = dark.and(devices.projector.show(None).map_err(ShootError::Projector));
@@ -70,14 +80,17 @@ pub fn record(devices: &mut Devices<'_>, plan: &Plan, folder: &Path) -> Result<C
     Ok(capture)
 }
 
-fn taken(devices: &mut Devices<'_>, plan: &Plan) -> Result<(Shots, Capture), RecordError> {
+fn taken(
+    devices: &mut Devices<'_>,
+    plan: &Plan,
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<(Shots, Capture), RecordError> {
     let projector = devices.projector.size();
     let pictures = shoot::pictures(&plan.sets, projector.0, projector.1)?;
     let fringes = pictures.len() - 1;
     devices.projector.load(&pictures).map_err(ShootError::Projector)?;
     let pool = Pool::new(devices.camera.sensor(), fringes + 4);
-    let mut go_on = || true;
-    let mut shooting = Shooting::new(devices, &pool, (LONGEST, TIMEOUT), 0, &mut go_on);
+    let mut shooting = Shooting::new(devices, &pool, (LONGEST, TIMEOUT), 0, go_on);
     let drive = shooting.bars(plan.bars)?;
     let (red_light, _) = shooting.meter(RED_LEVEL, START, METERED)?;
     let red = shooting.grab()?;

@@ -49,6 +49,9 @@ const CAPTURE_MM: (f64, f64) = (5.0, 1.5);
 pub(super) const EROSION_MM: (f64, f64) = (6.0, 1.5);
 /// A repeated image may differ from the first by this many times its noise power before something has moved.
 const MOVED: f64 = 1.6;
+/// Share of what is beyond noise that neighbouring pixels have in common where something has moved: edges are wider than a
+/// pixel. A paint that glitters is noisier than the sensor, but from pixel to pixel.
+const SHARED: f64 = 0.3;
 /// Least light on the body, as a share of white: ten of 255 levels, below which a gap's edge is a few steps of rounding.
 const MIN_LIGHT: f64 = 0.04;
 /// Blur (px, 1 sigma) beyond which a gap of a few pixels is no longer a line with two edges.
@@ -107,17 +110,24 @@ impl<'a> Cycle<'a> {
         let camera = &self.capture.camera;
         let noise = NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level);
         let (w, white) = (self.fringes.window, self.capture.camera.white_level());
-        let (mut sum, mut n) = (0.0, 0.0);
+        // the differences' power over the noise's, and how much of it neighbours share
+        let (mut sum, mut shared, mut n) = (0.0, 0.0, 0.0);
         for y in w.y..w.y + w.height {
+            let mut before = 0.0;
             for (a, b) in first.row(y)[w.x..w.x + w.width].iter().zip(&repeat.row(y)[w.x..w.x + w.width]) {
                 let (a, b) = (f64::from(*a), f64::from(*b));
                 if a < white && b < white {
-                    sum += (a - b).powi(2) / (2.0 * noise.variance(0.5 * (a + b)));
+                    let off = (a - b) / (2.0 * noise.variance(0.5 * (a + b))).sqrt();
+                    sum += off * off;
+                    shared += off * before;
                     n += 1.0;
+                    before = off;
+                } else {
+                    before = 0.0;
                 }
             }
         }
-        n > 0.0 && sum / n > MOVED
+        n > 0.0 && sum / n > MOVED && shared > SHARED * (sum - n)
     }
 
     /// The measurement. `ended` is told when each stage has ended.

@@ -190,7 +190,7 @@ impl From<Wrong> for Ended {
 enum Feed {
     Fringe(usize, Arc<Buffer>),
     /// A better red image: everything is summed up anew.
-    Red(Arc<Buffer>, Capture),
+    Red(Arc<Buffer>, Box<Capture>),
     /// The first fringe image, and it once more.
     Finish(Arc<Buffer>, Arc<Buffer>),
 }
@@ -248,6 +248,9 @@ impl Try<'_> {
             .capture()
         };
         let (mut image, mut light) = (Arc::clone(&red.image), red.light);
+        if std::env::var_os("DATUM_SUBTRACT").is_some() {
+            image = Arc::new(without_ambient(&image, &red.off, light.strength() / red.tried.strength(), &sensor, pool));
+        }
         let mut capture = description(light);
         let attempt = &mut *self.attempt;
         let measurer = &self.job.measurer;
@@ -282,7 +285,7 @@ impl Try<'_> {
                     attempt.level = light::median(&image, &panel, &sensor);
                     attempt.start.red = light.strength();
                     capture = description(light);
-                    let _ = feed.send(Feed::Red(Arc::clone(&image), capture.clone()));
+                    let _ = feed.send(Feed::Red(Arc::clone(&image), Box::new(capture.clone())));
                 }
                 let off = light::means([&red.off], panel.iter().copied(), &sensor).map_or(0.0, |[off]| off.max(0.0));
                 // as bright as it is in the red image
@@ -378,6 +381,17 @@ struct Red {
     drive: [f64; 2],
 }
 
+/// The red image less what the hall's light gave to it: `by` times what it gave to `off`. What is saturated stays so.
+fn without_ambient(red: &Image<u16>, off: &Image<u16>, by: f64, sensor: &Sensor, pool: &Pool) -> Buffer {
+    let mut out = pool.take().or_else(|| Pool::new(sensor, 1).take()).expect("a new pool has one");
+    let (black, by) = (sensor.black_level as f32, by as f32);
+    for ((out, red), off) in out.pixels.iter_mut().zip(&red.pixels).zip(&off.pixels) {
+        let level = f32::from(*red) - by * (f32::from(*off) - black);
+        *out = if *red >= sensor.white_level { *red } else { level.round().max(0.0) as u16 };
+    }
+    out
+}
+
 /// Pixels of what is bright in an image: the body, before anything of it is found.
 fn body(image: &Image<u16>, sensor: &Sensor) -> Vec<usize> {
     let white = f64::from(sensor.white_level) - sensor.black_level;
@@ -408,7 +422,7 @@ fn measure(
                     add(&mut cycle, k, &image);
                     fringes.push((k, image));
                 }
-                Feed::Red(image, capture) => break (image, capture),
+                Feed::Red(image, capture) => break (image, *capture),
                 Feed::Finish(first, repeat) => {
                     cycle.add_repeat(&first, &repeat);
                     return Some(cycle.finish(&mut |_| ()).0);

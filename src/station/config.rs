@@ -273,7 +273,7 @@ impl Default for CycleKeys {
             acquire_ms: 1200,
             second_by_ms: 2200,
             second_captures: 1,
-            ambient_limit: 0.5,
+            ambient_limit: 1.0,
         }
     }
 }

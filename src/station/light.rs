@@ -88,7 +88,7 @@ impl Bars {
             return Err(wrong(code, 0, said));
         }
         for (bar, name, share) in [(1, "left", self.left), (2, "right", 1.0 - self.left)] {
-            if !(share >= WEAK) {
+            if share < WEAK {
                 let said = format!(
                     "Of both bars' light on the body the {name} one gives {:.0} % where it is turned on, allowed at \
                      least {:.0} %.",

@@ -146,6 +146,8 @@ pub struct Machine {
     /// Orders that came while something went on and are to be carried out after it.
     pending: VecDeque<Order>,
     booted: bool,
+    /// The camera has been lost and has not come back yet.
+    lost: bool,
 }
 
 impl Machine {
@@ -182,6 +184,7 @@ impl Machine {
             verified_at: None,
             pending: VecDeque::new(),
             booted: false,
+            lost: false,
             parts,
         }
     }
@@ -280,24 +283,28 @@ impl Machine {
             ByItself::Unowned => !self.state.owned,
             ByItself::Always => true,
         };
-        if waits && wanted && self.coming.is_none() && !self.presence.0 {
-            if let Some(world) = &mut self.parts.world {
-                let jobs: Vec<u16> = self.parts.jobs.usable().map(|j| j.number).collect();
-                self.coming = world.send_one(&jobs);
-            }
+        let none_comes = self.coming.is_none() && !self.presence.0;
+        if waits
+            && wanted
+            && none_comes
+            && let Some(world) = &mut self.parts.world
+        {
+            let jobs: Vec<u16> = self.parts.jobs.usable().map(|j| j.number).collect();
+            self.coming = world.send_one(&jobs);
         }
     }
 
     fn happened(&mut self, event: Event) {
         let mut events = VecDeque::from([event]);
         while let Some(event) = events.pop_front() {
-            let fault = self.state.fault;
+            if event == Event::Tested(Ok(())) && self.lost {
+                self.lost = false;
+                self.status.counters.camera_reconnects += 1;
+            }
             for action in plan(&mut self.state, event) {
                 events.extend(self.act(action));
             }
-            if fault == Some(Code::CameraLost) && self.state.fault.is_none() {
-                self.status.counters.camera_reconnects += 1;
-            }
+            self.lost |= self.state.fault == Some(Code::CameraLost);
         }
     }
 
@@ -392,7 +399,13 @@ impl Machine {
             return None;
         };
         let folder = std::env::temp_dir().join(format!("datum-verify-{}", std::process::id()));
-        let said = verify::measure(&mut self.parts.hardware, &artefact, &self.parts.calibration, &folder);
+        let (pulse, stop) = (&self.parts.pulse, &self.parts.stop);
+        let mut go_on = || {
+            pulse.fetch_add(1, Ordering::Relaxed);
+            !stop.load(Ordering::Relaxed)
+        };
+        let hardware = &mut self.parts.hardware;
+        let said = verify::measure(hardware, &artefact, &self.parts.calibration, &folder, &mut go_on);
         let _ = self.parts.hardware.dark();
         // its pictures are others than a vehicle's
         let loaded = selftest::load(&mut self.parts.hardware);

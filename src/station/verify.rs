@@ -6,7 +6,7 @@ use super::config::ArtefactKeys;
 use super::hardware::Hardware;
 use crate::calibrate::target::find;
 use crate::calibrate::{Board, Calibration, Lit, Seen, VerifyLimits, mean, verify};
-use crate::capture::{Plan, RecordError, ShootError, record};
+use crate::capture::{Plan, RecordError, ShootError, record_while};
 use crate::code::Code;
 use crate::fringe::Axis;
 use crate::geometry::{EulerDeg, Pose, frame};
@@ -31,19 +31,20 @@ pub(super) struct Failed {
     pub(super) verification: Option<Verification>,
 }
 
-/// Measures the artefact; its images go through `folder`, which is emptied. Other pictures than the cycle's are loaded
+/// Measures the artefact, if `go_on` says so before each image; its images go through `folder`, which is emptied. Other pictures than the cycle's are loaded
 /// afterwards.
 pub(super) fn measure(
     hardware: &mut Hardware,
     artefact: &ArtefactKeys,
     calibration: &Calibration,
     folder: &Path,
+    go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Verification, Failed> {
     let failed = |code, said: String| Failed { code, said, verification: None };
     let board: Board =
         artefact.board.parse().map_err(|_| failed(Code::VerifyDatum, "no board is configured".into()))?;
     let plan = Plan { sets: SETS.to_vec(), repeat: false, ..Plan::default() };
-    let recorded = record(&mut hardware.devices(), &plan, folder);
+    let recorded = record_while(&mut hardware.devices(), &plan, folder, go_on);
     let capture = recorded.map_err(|e| {
         let code = match &e {
             RecordError::Shoot(ShootError::Camera(_)) => Code::CameraLost,
