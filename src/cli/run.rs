@@ -57,7 +57,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     let (_nobody, orders) = mpsc::channel();
     let hardware: Hardware = simulated.hardware();
     let (mut last, limit, mut count) = (State::Boot, a.vehicles, 0);
-    let done = Arc::clone(&stop);
+    let (done, allowed_ms) = (Arc::clone(&stop), config.cycle.acquire_ms);
     let parts = Parts {
         hardware,
         clock: simulated.clock(),
@@ -83,6 +83,9 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         told: Box::new(move |finished| {
             let _ = print(&line(finished));
             count += 1;
+            if count == 1 {
+                let _ = print(&budget(finished, allowed_ms));
+            }
             if limit.is_some_and(|n| count >= n) {
                 done.store(true, Ordering::Relaxed);
             }
@@ -151,6 +154,22 @@ fn words(state: State) -> &'static str {
         State::Fault => "fault",
         _ => "busy",
     }
+}
+
+/// The acquisition's budget on the reference hardware, in a line.
+fn budget(f: &Finished, allowed_ms: u64) -> String {
+    let b = &f.budget;
+    format!(
+        "acquisition on the reference hardware: {} images for the red light, {} for the bars, {} for the projector, {} \
+         fringes and the repeat: {} at 30/s are {:.2} s, allowed {:.2} s\n",
+        b.red,
+        b.bars,
+        b.projector,
+        b.fringes,
+        b.images(),
+        b.at_30_per_s().as_secs_f64(),
+        allowed_ms as f64 / 1e3
+    )
 }
 
 /// One vehicle in a line.

@@ -273,7 +273,7 @@ impl Default for CycleKeys {
             acquire_ms: 1200,
             second_by_ms: 2200,
             second_captures: 1,
-            ambient_limit: 1.0,
+            ambient_limit: 4.0,
         }
     }
 }
@@ -344,7 +344,7 @@ keys! {
     "cycle" "acquire_ms": "all images are taken by then, from the trigger; what is not is refused", "300 to 10000";
     "cycle" "second_by_ms": "a second capture of a vehicle that was not measured is taken only if it ends by then", "300 to 20000";
     "cycle" "second_captures": "automatic second captures of a vehicle", "0, 1";
-    "cycle" "ambient_limit": "light from outside beyond this share of the red image's is refused with 303", "0.01 to 5";
+    "cycle" "ambient_limit": "light from outside beyond this share of the red image's is refused with 303", "0.01 to 20";
     "plc" "listen": "address and port of the Modbus TCP server", "an address and a port, as in \"0.0.0.0:502\"";
     "plc" "allow": "networks whose connections are answered", "networks as in \"192.168.0.0/24\"";
     "plc" "word_order": "which half of a 32-bit number comes first", "\"high-first\", \"low-first\"";
@@ -411,7 +411,7 @@ impl StationFile {
         check.within("cycle.acquire_ms", c.acquire_ms, 300..=10_000)?;
         check.within("cycle.second_by_ms", c.second_by_ms, 300..=20_000)?;
         check.within("cycle.second_captures", c.second_captures, 0..=1)?;
-        check.within("cycle.ambient_limit", c.ambient_limit, 0.01..=5.0)?;
+        check.within("cycle.ambient_limit", c.ambient_limit, 0.01..=20.0)?;
         let listens = self.plc.listen.parse::<std::net::SocketAddr>().is_ok();
         let allowed = "an address and a port, as in \"0.0.0.0:502\"";
         check.that(listens, "plc.listen", format!("{:?}", self.plc.listen), allowed)?;

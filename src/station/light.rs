@@ -11,8 +11,10 @@ use crate::image::Image;
 const WEAK: f64 = 0.2;
 /// Light of both bars, as a share of white, below which nothing can be said.
 const MIN_LIGHT: f64 = 0.01;
-/// Light of the projector's even grey, as a share of white, that it must show.
-const MIN_PROJECTED: f64 = 0.05;
+/// Light of the projector's even grey, as a share of white: below the first it is dark, as far as means over the body tell;
+/// below the second the hall drowns it.
+const DARK: f64 = 0.004;
+const MIN_PROJECTED: f64 = 0.04;
 /// The hall's light may change between two images by this share of the red image's.
 const STEADY: f64 = 0.06;
 /// A dark picture may leave this share of the even grey's light; projectors leave some 5 %.
@@ -131,7 +133,7 @@ pub(super) fn check_projector([grey, dark]: [f64; 2], ambient: f64, red: f64) ->
     }
     if grey - dark < MIN_PROJECTED {
         let said = format!("The projector's grey is {:.1} % of white brighter than its dark.", 100.0 * (grey - dark));
-        let code = if dark > 0.5 { Code::Ambient } else { Code::ProjectorSilent };
+        let code = if grey - dark < DARK { Code::ProjectorSilent } else { Code::Ambient };
         return Err(wrong(code, 0, said));
     }
     if (dark - ambient).abs() > STEADY * red {
@@ -181,6 +183,8 @@ mod tests {
         let code = |images, ambient| check_projector(images, ambient, 0.4).map_err(|w| w.code);
         assert_eq!(code([0.36, 0.02], 0.01), Ok(()));
         assert_eq!(code([0.02, 0.02], 0.02), Err(Code::ProjectorSilent));
+        assert_eq!(code([0.361, 0.36], 0.36), Err(Code::ProjectorSilent));
+        assert_eq!(code([0.36, 0.33], 0.33), Err(Code::Ambient), "drowned");
         assert_eq!(code([0.02, 0.36], 0.02), Err(Code::Synchronisation), "a picture behind");
         assert_eq!(code([0.36, 0.36], 0.02), Err(Code::Synchronisation), "stuck at grey");
         assert_eq!(code([0.36, 0.10], 0.02), Err(Code::Ambient), "brighter by now");

@@ -146,6 +146,8 @@ pub struct Machine {
     /// Orders that came while something went on and are to be carried out after it.
     pending: VecDeque<Order>,
     booted: bool,
+    /// The projector holds a cycle's pictures.
+    loaded: bool,
     /// The camera has been lost and has not come back yet.
     lost: bool,
 }
@@ -184,6 +186,7 @@ impl Machine {
             verified_at: None,
             pending: VecDeque::new(),
             booted: false,
+            loaded: false,
             lost: false,
             parts,
         }
@@ -317,11 +320,16 @@ impl Machine {
             }
             Action::Test => {
                 self.tell_status();
-                let tested = if self.parts.config.cycle.self_test || self.state.fault.is_some() {
-                    selftest::test(&mut self.parts.hardware, &self.pool)
-                } else {
-                    selftest::load(&mut self.parts.hardware)
-                };
+                // a projector that was silent may have forgotten them
+                self.loaded &= self.state.fault != Some(Code::ProjectorSilent);
+                let mut tested = Ok(());
+                if !self.loaded {
+                    tested = selftest::load(&mut self.parts.hardware);
+                    self.loaded = tested.is_ok();
+                }
+                if tested.is_ok() && (self.parts.config.cycle.self_test || self.state.fault.is_some()) {
+                    tested = selftest::test(&mut self.parts.hardware, &self.pool);
+                }
                 self.tested_at = self.parts.clock.now();
                 Some(Event::Tested(tested))
             }
@@ -409,6 +417,7 @@ impl Machine {
         let _ = self.parts.hardware.dark();
         // its pictures are others than a vehicle's
         let loaded = selftest::load(&mut self.parts.hardware);
+        self.loaded = loaded.is_ok();
         let mut fault = loaded.err();
         match said {
             Ok(verification) => {

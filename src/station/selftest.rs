@@ -1,5 +1,5 @@
 //! The self-test: whether the camera answers, whether projector and each bar light anything.
-//! In: devices. Out: nothing, or the code of the first that does not work. Leaves pictures loaded and lights off.
+//! In: devices. Out: nothing, or the code of the first that does not work. Leaves the lights off.
 //! Not here: whether what they do is good enough to measure by.
 
 use super::hardware::Hardware;
@@ -18,6 +18,7 @@ const ANSWER: f64 = 0.004;
 const OVER_CHANGE: f64 = 3.0;
 const TIMEOUT: Duration = Duration::from_millis(500);
 
+/// Tries everything; the cycle's pictures are loaded.
 pub(super) fn test(hardware: &mut Hardware, pool: &Pool) -> Result<(), Code> {
     let tested = try_all(hardware, pool);
     let dark = hardware.dark();
@@ -36,7 +37,6 @@ fn try_all(hardware: &mut Hardware, pool: &Pool) -> Result<(), Code> {
     let one_image = || pool.take().or_else(|| Pool::new(&sensor, 1).take()).expect("a new pool has one");
     let mut images: [_; 5] = std::array::from_fn(|_| one_image());
     let lost = |_| Code::CameraLost;
-    load(hardware)?;
     let grey = SETS.iter().map(|s| s.2 as usize).sum();
     hardware.camera.set_gain(1.0).map_err(lost)?;
     for (k, exposure) in EXPOSURES.into_iter().enumerate() {

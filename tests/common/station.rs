@@ -1,7 +1,7 @@
 //! A station on simulated devices, driven turn by turn: no thread, no waiting.
 
 use datum::plc::{Order, Outcome, Report, State, Status, Trigger};
-use datum::sim::{self, Body, Build, Deviation, Paint, Random, Script, Visit};
+use datum::sim::{self, Body, Build, Deviation, Paint, Random, Script, Setup, Visit};
 use datum::station::{
     Finished, Hardware, Machine, NoStore, Pace, Parts, Simulated, StationFile, World, deviation, load_all, teach_one,
 };
@@ -13,6 +13,13 @@ use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
+/// How the station is built; at a quarter of its size, unless DATUM_SCALE says otherwise.
+fn setup() -> &'static Arc<Setup> {
+    static SETUP: OnceLock<Arc<Setup>> = OnceLock::new();
+    let scale = std::env::var("DATUM_SCALE").ok().and_then(|s| s.parse().ok()).unwrap_or(0.25);
+    SETUP.get_or_init(|| Arc::new(Setup::new(scale, 8)))
+}
+
 /// Job 1, taught once for all tests of a program.
 pub(crate) fn jobs() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
@@ -20,8 +27,7 @@ pub(crate) fn jobs() -> &'static Path {
         let name = format!("station-jobs-{}", std::process::id());
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         std::fs::create_dir_all(&folder).expect("writable");
-        let scale = std::env::var("DATUM_SCALE").ok().and_then(|s| s.parse().ok()).unwrap_or(0.25);
-        teach_one(&Simulated::new(scale, 1).setup, 1, &folder).expect("a good capture");
+        teach_one(setup(), 1, &folder).expect("a good capture");
         folder
     })
 }
@@ -93,8 +99,9 @@ impl Bench {
         change: impl FnOnce(&Simulated, &mut Hardware),
         world: Option<Before<'_>>,
     ) -> Self {
-        let simulated = Simulated::new(config.simulation.scale, config.simulation.seed);
-        simulated.station.set_script(script);
+        let seed = config.simulation.seed;
+        let station = sim::Station::new(Arc::clone(setup()), seed, Vec::new(), script);
+        let simulated = Simulated { station, setup: Arc::clone(setup()) };
         let mut hardware = simulated.hardware();
         change(&simulated, &mut hardware);
         let (orders, taken) = mpsc::channel();
