@@ -311,3 +311,29 @@ fn vehicles_come_by_themselves_until_a_plc_owns_the_station() {
     let told = bench.order(trigger(5));
     assert!(finished(&told).is_some(), "the trigger brings one");
 }
+
+#[test]
+fn check_explains_every_key_and_run_refuses_what_it_has_no_driver_for() {
+    let datum = |arguments: &[&str]| {
+        let out = std::process::Command::new(env!("CARGO_BIN_EXE_datum")).args(arguments).output().expect("runs");
+        let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        (out.status.code(), text(&out.stdout), text(&out.stderr))
+    };
+    let (status, said, _) = datum(&["check"]);
+    assert_eq!(status, Some(0));
+    for key in datum::station::KEYS {
+        assert!(said.contains(&format!("\n{} ", key.name)) && said.contains(key.meaning), "{}", key.name);
+    }
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
+    let file = folder.join(format!("station-v4l2-{}.toml", std::process::id()));
+    std::fs::write(&file, "format = 1\n[camera]\nkind = \"v4l2\"\n").expect("writable");
+    let name = file.to_str().expect("UTF-8");
+    let (status, said, _) = datum(&["check", name]);
+    assert!(status == Some(0) && said.contains("kind = \"v4l2\"\n") && said.contains("without that driver"), "{said}");
+    let (status, _, said) = datum(&["run", "--config", name]);
+    assert!(status == Some(2) && said.contains("camera.kind = \"v4l2\": this datum is built without"), "{said}");
+    std::fs::write(&file, "format = 1\n[cycle]\nspeed = 1\n").expect("writable");
+    let (status, _, said) = datum(&["check", name]);
+    assert!(status == Some(2) && said.contains("line 3, `speed = 1`: unknown field `speed`"), "{said}");
+    std::fs::remove_file(&file).expect("just written");
+}

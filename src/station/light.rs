@@ -14,7 +14,7 @@ const MIN_LIGHT: f64 = 0.01;
 /// Light of the projector's even grey, as a share of white: below the first it is dark, as far as means over the body tell;
 /// below the second the hall drowns it.
 const DARK: f64 = 0.004;
-const MIN_PROJECTED: f64 = 0.04;
+const MIN_PROJECTED: f64 = 0.025;
 /// The hall's light may change between two images by this share of the red image's.
 const STEADY: f64 = 0.06;
 /// A dark picture may leave this share of the even grey's light; projectors leave some 5 %.
@@ -184,7 +184,7 @@ mod tests {
         assert_eq!(code([0.36, 0.02], 0.01), Ok(()));
         assert_eq!(code([0.02, 0.02], 0.02), Err(Code::ProjectorSilent));
         assert_eq!(code([0.361, 0.36], 0.36), Err(Code::ProjectorSilent));
-        assert_eq!(code([0.36, 0.33], 0.33), Err(Code::Ambient), "drowned");
+        assert_eq!(code([0.36, 0.34], 0.34), Err(Code::Ambient), "drowned");
         assert_eq!(code([0.02, 0.36], 0.02), Err(Code::Synchronisation), "a picture behind");
         assert_eq!(code([0.36, 0.36], 0.02), Err(Code::Synchronisation), "stuck at grey");
         assert_eq!(code([0.36, 0.10], 0.02), Err(Code::Ambient), "brighter by now");

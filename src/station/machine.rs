@@ -1,6 +1,6 @@
 //! The thread that acts: takes orders, sees vehicles come, measures, tells.
 //! In:  devices, jobs, orders. Out: reports for the PLC, what was measured for records and people.
-//! [`plan`](super::plan) decides; here it is done. Not here: how a try at a vehicle goes (`acquire`).
+//! `plan` decides; here it is done. Not here: how a try at a vehicle goes (`acquire`).
 
 use super::acquire::{self, Attempt, Bracket, Budget, Ended, Settings, Start, Watch};
 use super::config::{StationFile, TriggerKind};

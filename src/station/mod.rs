@@ -3,7 +3,7 @@
 //! is measured.
 //! Not here: registers and the handshake (`plc`); how images become a pose (`measure`); drivers (`hal`, `sim`).
 //!
-//! What happens next is decided by [`plan`], which is pure; [`Machine`] does it.
+//! What happens next is decided by `plan`, which is pure; [`Machine`] does it.
 
 mod acquire;
 mod config;

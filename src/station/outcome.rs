@@ -91,3 +91,71 @@ fn station_from_camera(m: &Measurement) -> Option<Pose<frame::Station, frame::Ca
     let (r, t) = matrix(m.camera_from_vehicle.as_ref()?);
     Some(station_from_vehicle * Pose::<frame::Camera, frame::Vehicle>::new(r, t).inverse())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::measure::{FeatureResult, Method, PoseMatrix, TargetUncertainty, Uncertainty, Xyz};
+
+    fn measurement(verdict: Verdict) -> Measurement {
+        let mut m = Measurement::without_pose(String::new(), verdict, None, String::new(), Method::Points);
+        // camera z is the vehicle's y, 100 mm away; the station frame is 5 mm beside the vehicle's
+        let r = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]];
+        m.camera_from_vehicle = Some(PoseMatrix { rotation: r, translation_mm: [0.0, 0.0, 100.0] });
+        let one = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        m.station_from_vehicle = Some(PoseMatrix { rotation: one, translation_mm: [5.0, 0.0, 0.0] });
+        m.reference_mm = Some(Xyz { x: 5.0, y: 0.0, z: 0.0 });
+        m.euler_deg = Some(crate::measure::Euler { roll: 1.0, pitch: 2.0, yaw: 3.0 });
+        let target = |name: &str, mm| TargetUncertainty { name: name.into(), mm };
+        m.uncertainty_k2 = Some(Uncertainty {
+            x_mm: 0.1,
+            y_mm: 0.2,
+            z_mm: 0.3,
+            roll_deg: 0.01,
+            pitch_deg: 0.02,
+            yaw_deg: 0.03,
+            targets: vec![target("a", 0.4), target("b", 0.6)],
+        });
+        m.residual_rms_mm = Some(0.05);
+        m
+    }
+
+    fn vehicle() -> VehicleFile {
+        let setup = crate::sim::Setup::new(0.25, 8);
+        let body = crate::sim::Body::named("suv-a").expect("listed");
+        let paint = crate::sim::Paint::named("white").expect("listed");
+        let scene = crate::sim::Scene::new(body, paint, &crate::sim::Deviation::default());
+        crate::sim::features(&scene, &setup).expect("in view")
+    }
+
+    #[test]
+    fn a_pose_keeps_its_units_and_features_their_places() {
+        let (vehicle, mut m) = (vehicle(), measurement(Verdict::Ok));
+        m.features = vehicle.features.iter().map(|f| FeatureResult::unknown(&f.name)).collect();
+        m.features[1].camera_mm = Some([10.0, 0.0, 120.0]);
+        let out = outcome(&m, &vehicle, Trigger::default());
+        let pose = out.pose.expect("ok");
+        assert_eq!((pose.position_mm, pose.angles_deg), ([5.0, 0.0, 0.0], [1.0, 2.0, 3.0]));
+        assert_eq!((pose.u_target_mm, pose.residual_rms_mm), (Some(0.6), 0.05));
+        let at = out.features[1].and_then(|f| f.position_mm).expect("measured");
+        let expected = [15.0, 20.0, 0.0];
+        assert!(at.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{at:?}");
+        assert_eq!(out.features[0].and_then(|f| f.position_mm), None);
+    }
+
+    #[test]
+    fn what_is_not_measurable_has_no_pose_and_names_its_feature() {
+        let (vehicle, mut m) = (vehicle(), measurement(Verdict::NotMeasurable));
+        m.features = vehicle.features.iter().map(|f| FeatureResult::unknown(&f.name)).collect();
+        (m.code, m.features[2].code) = (Some(Code::Ellipse), Some(Code::Ellipse));
+        let out = outcome(&m, &vehicle, Trigger::default());
+        assert_eq!((out.result, out.code, out.detail), (ResultCode::NotMeasurable, Some(Code::Ellipse), 3));
+        assert_eq!(out.pose, None);
+        for (verdict, result) in
+            [(Verdict::OutOfLimits, ResultCode::OutOfLimits), (Verdict::TooUncertain, ResultCode::TooUncertain)]
+        {
+            let out = outcome(&measurement(verdict), &vehicle, Trigger::default());
+            assert!(out.result == result && out.pose.is_some());
+        }
+    }
+}
