@@ -21,8 +21,10 @@ pub mod optics;
 pub mod plc;
 pub mod records;
 pub mod sim;
+pub mod station;
 #[cfg(test)]
 mod testing;
+pub mod time;
 pub mod vehicle;
 
 pub use calibrate::Calibration;

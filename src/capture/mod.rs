@@ -2,11 +2,12 @@
 //! In:  the folder. Out: its checked description, and the images one at a time when asked for.
 //! Not here: decoding. [`record`] makes captures.
 
-mod record;
-
-pub use record::{Devices, Plan, RecordError, SETS, record};
-
 mod fringes;
+mod record;
+pub(crate) mod shoot;
+
+pub use record::{Plan, RecordError, record, record_while, write};
+pub use shoot::{Described, Devices, Light, SETS, ShootError, Shooting, Shots, pictures};
 
 pub use fringes::{Fringes, TYPICAL_GAIN, coordinates};
 

@@ -2,12 +2,14 @@
 //! on standard error, an exit status.
 
 mod calibrate;
+mod check;
 mod measure;
 mod overlay;
 mod patterns;
 mod registers;
 mod records;
 mod release;
+mod run;
 mod simulate;
 mod teach;
 
@@ -24,6 +26,10 @@ pub struct Arguments {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
+    /// The appliance: measures vehicles as they come; without a configuration on the built-in simulated station
+    Run(run::Arguments),
+    /// Checks a station's configuration and explains every key
+    Check(check::Arguments),
     /// Measures stored captures
     Measure(measure::Arguments),
     /// Makes a vehicle model with templates from one good capture
@@ -59,6 +65,8 @@ pub enum Status {
 /// Does what was asked.
 pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
     match arguments.command {
+        Command::Run(a) => run::run(&a),
+        Command::Check(a) => check::run(&a),
         Command::Measure(a) => measure::run(&a),
         Command::Teach(a) => teach::run(&a),
         Command::Release(a) => release::run(&a),

@@ -1,7 +1,7 @@
 //! `datum teach`: one good capture and clicked features in, a vehicle model with templates out.
 
 use super::{Status, print};
-use crate::document::{self, Check};
+use crate::document::Check;
 use crate::measure::{table, teach};
 use crate::{Calibration, Capture, VehicleFile};
 use anyhow::Context;
@@ -43,11 +43,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     }
     let stem = a.out.file_stem().and_then(|s| s.to_str()).context("--out: not a file name")?;
     let taught = teach(&capture, &calibration, &features, stem)?;
-    for (feature, template) in taught.model.features.iter().zip(&taught.templates) {
-        let name = feature.template.as_ref().context("a taught feature without a template")?;
-        document::write_bytes(&a.out.with_file_name(name), &template.to_bytes())?;
-    }
-    taught.model.write(&a.out)?; // last, so that the model never names a template that is not there
+    taught.write(&a.out)?;
     print(&format!("{}: {} features taught; its own capture measures:\n", a.out.display(), taught.templates.len()))?;
     print(&table(&[taught.check]))?;
     Ok(Status::Done)

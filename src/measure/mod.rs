@@ -18,6 +18,7 @@ mod light;
 mod locate;
 mod moved;
 mod panel;
+mod patches;
 mod regions;
 mod report;
 mod result;

@@ -98,6 +98,17 @@ pub struct Taught {
     pub check: Measurement,
 }
 
+impl Taught {
+    /// Writes the model to `file`, its templates beside it.
+    pub fn write(&self, file: &std::path::Path) -> Result<(), crate::document::Error> {
+        for (feature, template) in self.model.features.iter().zip(&self.templates) {
+            let name = feature.template.as_ref().expect("teaching names every template");
+            crate::document::write_bytes(&file.with_file_name(name), &template.to_bytes())?;
+        }
+        self.model.write(file) // last, so that the model never names a template that is not there
+    }
+}
+
 /// A feature on its way: where its ray met the surface, and the surface.
 struct Placed {
     local: Local<frame::Camera>,

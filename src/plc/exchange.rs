@@ -12,7 +12,7 @@ pub type Vin = heapless::String<17>;
 /// stand-by beside it; the rest is slack for a station that is slow to look.
 pub const ORDERS: usize = 8;
 
-/// What the PLC wants done. Every order but [`Order::StandBy`] ends in one [`Report::Done`], [`Report::Refused`] or
+/// What the PLC wants done. Every order but [`Order::StandBy`] and [`Order::Own`] ends in one [`Report::Done`], [`Report::Refused`] or
 /// [`Report::Finished`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Order {
@@ -33,6 +33,9 @@ pub enum Order {
     ClearError,
     /// Lights and projector off, and nothing is measured, until it is false again.
     StandBy(bool),
+    /// A PLC has become the owner, or there is none any more: while there is one, the station begins no cycle by itself,
+    /// unless it is configured to (`trigger = "presence"`).
+    Own(bool),
 }
 
 /// Which kind of order a report answers.

@@ -4,7 +4,7 @@
 
 use super::projector::Picture;
 use super::scene::{Crossing, Glow, Scene, Stage};
-use super::setup::{PROJECTOR_BLACK, SENSITIVITY, Setup};
+use super::setup::{DISTANCE_MM, PROJECTOR_BLACK, SENSITIVITY, Setup};
 use rayon::prelude::*;
 use std::time::Duration;
 
@@ -62,13 +62,21 @@ impl Layers {
         Self { rows: rows.collect(), glitter: scene.paint.glitter }
     }
 
-    /// The hall without a vehicle: a dim wall far away.
+    /// The hall without a vehicle: a dim wall far away, which bars and projector reach, too.
     pub fn empty(setup: &Setup) -> Self {
         let lens = &setup.rig.camera;
-        let dark = Beam { weight: 0.0, column: 0.0, row: 0.0 };
         let n = lens.width;
         let wall = (0.1 * setup.room_luminance) as f32;
-        let row = Row { bars: vec![[0.0; 2]; n], ambient: vec![wall; n], beams: vec![dark; n], further: Vec::new() };
+        // what a grey wall at four times the usual distance sends back; the whole of it lies in the picture's middle
+        let [bars, weight] = [0.5 * setup.lux([1.0, 1.0]), setup.projector_candela * 1e6 / DISTANCE_MM.powi(2)]
+            .map(|lux| (0.3 * lux / (16.0 * std::f64::consts::PI)) as f32);
+        let (column, row) = (setup.rig.projector.cx as f32, setup.rig.projector.cy as f32);
+        let row = Row {
+            bars: vec![[bars; 2]; n],
+            ambient: vec![wall; n],
+            beams: vec![Beam { weight, column, row }; n],
+            further: Vec::new(),
+        };
         Self { rows: vec![row; lens.height], glitter: 0.0 }
     }
 

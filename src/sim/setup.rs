@@ -129,6 +129,13 @@ impl Setup {
         lit(&self.bars[0], drive[0]) + lit(&self.bars[1], drive[1])
     }
 
+    /// Light of tubes and hall on a body at the usual distance, facing the camera, lx.
+    pub fn hall_lux(&self) -> f64 {
+        let at = V::new(0.0, 20.0, DISTANCE_MM);
+        let tubes: f64 = self.tubes.iter().map(|t| self.tube_luminance * t.illuminance(&at, &-V::z())).sum();
+        tubes + std::f64::consts::PI * self.room_luminance
+    }
+
     /// Undistorted normalised coordinates of every pixel's centre, row by row. The lens is unfolded all over its image.
     pub(super) fn rays(&self) -> &[[f32; 2]] {
         self.rays.get_or_init(|| {
@@ -171,6 +178,7 @@ mod tests {
         assert!((setup.lux([1.0, 1.0]) - FULL_LUX).abs() < 1e-6);
         assert!((setup.lux([1.0, 0.0]) / FULL_LUX - 0.5).abs() < 0.01);
         assert!((144.0..248.0).contains(&setup.lux([0.6, 0.6])));
+        assert!((20.0..500.0).contains(&setup.hall_lux()), "{} lx", setup.hall_lux());
         assert_eq!(setup.exposure(Duration::from_micros(100)), LINE * 7);
         assert_eq!(setup.exposure(Duration::ZERO), LINE);
         assert_eq!(setup.exposure(Duration::from_secs(1)), LONGEST);

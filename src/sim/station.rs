@@ -131,6 +131,38 @@ impl Station {
         Clock(self.clone())
     }
 
+    /// A vehicle comes, and no other; the one that was there is gone. For whoever plays the world: no device shows it
+    /// otherwise than as a vehicle.
+    pub fn bring(&self, visit: Visit) {
+        self.world().visits = vec![visit];
+    }
+
+    /// What stands there is gone, and nothing else comes.
+    pub fn clear(&self) {
+        self.world().visits.clear();
+    }
+
+    /// What is to go wrong from now on, instead of what was.
+    pub fn set_script(&self, script: Script) {
+        self.world().script = script;
+    }
+
+    /// Exposures so far: the number that [`super::When::Image`] counts.
+    pub fn images(&self) -> u64 {
+        self.world().images
+    }
+
+    /// The drives that the bars were asked for, and whether the projector was asked for a picture.
+    pub fn lights(&self) -> ([f64; 2], bool) {
+        let world = self.world();
+        (world.drive, world.asked.is_some())
+    }
+
+    /// The time, as [`Clock`] tells it.
+    pub fn now(&self) -> Duration {
+        self.world().now
+    }
+
     /// Where the vehicle really is just now; `None`: there is none.
     pub fn truth(&self) -> Option<Pose<frame::Camera, frame::Vehicle>> {
         let world = self.world();
@@ -287,7 +319,7 @@ impl hal::Camera for Camera {
         let asked_at = world.now;
         let deadline = asked_at.saturating_add(timeout);
         let too_late = |world: &mut World| {
-            world.now = world.now.max(deadline);
+            world.now = deadline; // nobody waits for it
             Err(Error::NoImage { device: device(), waited: timeout })
         };
         loop {

@@ -307,6 +307,14 @@ impl VehicleFile {
         }
     }
 
+    /// Releases the model for production as it and its templates are now: writes it with their fingerprint, which it gives.
+    pub fn release(&mut self) -> Result<u32, Error> {
+        let fingerprint = fingerprint(self, &self.read_templates()?);
+        self.release = Some(Release { fingerprint, date: crate::time::date(crate::time::unix_ms() / 1000) });
+        self.write(&self.file)?;
+        Ok(fingerprint)
+    }
+
     fn check(&self) -> Result<(), Error> {
         let check = Check(&self.file);
         let point = |key: &str, p: &[f64; 3]| {

@@ -1,0 +1,31 @@
+//! The station: one thread that owns the devices and measures one vehicle after the other.
+//! In:  a configuration, devices, vehicle models, orders. Out: reports; records; lights and projector off whenever nothing
+//! is measured.
+//! Not here: registers and the handshake (`plc`); how images become a pose (`measure`); drivers (`hal`, `sim`).
+//!
+//! What happens next is decided by `plan`, which is pure; [`Machine`] does it.
+
+mod acquire;
+mod config;
+mod counters;
+mod hardware;
+mod jobs;
+mod light;
+mod machine;
+mod outcome;
+mod plan;
+mod selftest;
+mod simulated;
+mod verify;
+
+pub use acquire::{Budget, LIMIT};
+pub use config::{
+    ArtefactKeys, CameraKeys, CameraKind, CycleKeys, JobsKeys, KEYS, Key, LightsKeys, LightsKind, PlcKeys,
+    PresenceKeys, PresenceKind, ProjectorKeys, ProjectorKind, RecordsKeys, SimulationKeys, StationFile, TriggerKind,
+    WordOrder,
+};
+pub use counters::Durations;
+pub use hardware::Hardware;
+pub use jobs::{Entry, Job, Jobs, Unusable, load, load_all};
+pub use machine::{Finished, Machine, NoStore, Pace, Parts, Store, WriteImages};
+pub use simulated::{Simulated, Traffic, World, deviation, teach_missing, teach_one};

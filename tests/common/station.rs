@@ -1,0 +1,218 @@
+//! A station on simulated devices, driven turn by turn: no thread, no waiting.
+
+use datum::plc::{Order, Outcome, Report, State, Status, Trigger};
+use datum::sim::{self, Body, Build, Deviation, Paint, Random, Script, Setup, Visit};
+use datum::station::{
+    Finished, Hardware, Machine, NoStore, Pace, Parts, Simulated, StationFile, World, deviation, load_all, teach_one,
+};
+use datum::{Measurement, Point3, Pose, frame};
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::mpsc::{self, Receiver, Sender};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::time::Duration;
+
+/// How the station is built; at a quarter of its size, unless DATUM_SCALE says otherwise.
+fn setup() -> &'static Arc<Setup> {
+    static SETUP: OnceLock<Arc<Setup>> = OnceLock::new();
+    let scale = std::env::var("DATUM_SCALE").ok().and_then(|s| s.parse().ok()).unwrap_or(0.25);
+    SETUP.get_or_init(|| Arc::new(Setup::new(scale, 8)))
+}
+
+/// Job 1, taught once for all tests of a program.
+pub(crate) fn jobs() -> &'static Path {
+    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
+    FOLDER.get_or_init(|| {
+        let name = format!("station-jobs-{}", std::process::id());
+        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+        std::fs::create_dir_all(&folder).expect("writable");
+        teach_one(setup(), 1, &folder).expect("a good capture");
+        folder
+    })
+}
+
+/// The world as a test has it: the vehicle that it put there, and nothing by itself.
+struct Still {
+    station: sim::Station,
+    next: Arc<Mutex<Option<(Paint, Deviation, Build)>>>,
+}
+
+impl World for Still {
+    fn bring(&mut self, job: u16) {
+        let name = sim::names().nth(usize::from(job) - 1).expect("one of the ten");
+        let next = self.next.lock().expect("no panic").take();
+        let (paint, deviation, build) = next.expect("a test says what comes");
+        let body = Body::named(name).expect("listed").built(build);
+        let stops = self.station.now();
+        self.station.bring(Visit { body, paint, deviation, stops, leaves: Duration::MAX });
+    }
+    fn send_one(&mut self, _: &[u16]) -> Option<u16> {
+        None
+    }
+    fn leave(&mut self) {
+        self.station.clear();
+    }
+    fn truth(&self) -> Option<Pose<frame::Camera, frame::Vehicle>> {
+        self.station.truth()
+    }
+    fn name(&self) -> String {
+        String::new()
+    }
+}
+
+/// What is before a station.
+pub(crate) type Before<'a> = &'a dyn Fn(&Simulated) -> Box<dyn World>;
+
+/// A station and what it told.
+pub(crate) struct Bench {
+    pub(crate) machine: Machine,
+    pub(crate) world: sim::Station,
+    pub(crate) orders: Sender<Order>,
+    pub(crate) stop: Arc<AtomicBool>,
+    reports: Receiver<Report>,
+    finished: Receiver<Finished>,
+    next: Arc<Mutex<Option<(Paint, Deviation, Build)>>>,
+    pub(crate) status: Status,
+    id: u32,
+}
+
+/// One vehicle through the station.
+pub(crate) struct Cycle {
+    pub(crate) finished: Finished,
+    pub(crate) reports: Vec<Report>,
+    /// In virtual time, from the order to the end.
+    pub(crate) took: Duration,
+}
+
+impl Bench {
+    /// Booted and ready, unless a fault of `script` keeps it from that.
+    pub(crate) fn new(config: StationFile, script: Script, jobs: &Path) -> Self {
+        Self::with(config, script, jobs, |_, _| (), None)
+    }
+
+    /// With other devices, or another world.
+    pub(crate) fn with(
+        config: StationFile,
+        script: Script,
+        jobs: &Path,
+        change: impl FnOnce(&Simulated, &mut Hardware),
+        world: Option<Before<'_>>,
+    ) -> Self {
+        let seed = config.simulation.seed;
+        let station = sim::Station::new(Arc::clone(setup()), seed, Vec::new(), script);
+        let simulated = Simulated { station, setup: Arc::clone(setup()) };
+        let mut hardware = simulated.hardware();
+        change(&simulated, &mut hardware);
+        let (orders, taken) = mpsc::channel();
+        let (report, reports) = mpsc::channel();
+        let (told, finished) = mpsc::channel();
+        let next = Arc::new(Mutex::new(None));
+        let stop = Arc::new(AtomicBool::new(false));
+        let calibration = simulated.calibration();
+        let still =
+            || -> Box<dyn World> { Box::new(Still { station: simulated.station.clone(), next: Arc::clone(&next) }) };
+        let machine = Machine::new(Parts {
+            hardware,
+            clock: simulated.clock(),
+            world: Some(world.map_or_else(still, |world| world(&simulated))),
+            jobs: load_all(jobs, &calibration),
+            calibration,
+            more_jobs: None,
+            orders: taken,
+            report: Box::new(move |r| report.send(r).expect("the test listens")),
+            told: Box::new(move |f| told.send(f.clone()).expect("the test listens")),
+            store: Box::new(NoStore),
+            pulse: Arc::new(AtomicU64::new(0)),
+            stop: Arc::clone(&stop),
+            pace: Pace::Free,
+            config,
+        });
+        let world = simulated.station;
+        let mut bench =
+            Self { machine, world, orders, stop, reports, finished, next, status: Status::default(), id: 0 };
+        bench.turn();
+        bench
+    }
+
+    /// One turn, and what was told in it.
+    pub(crate) fn turn(&mut self) -> Vec<Report> {
+        self.machine.turn();
+        let told: Vec<Report> = self.reports.try_iter().collect();
+        for report in &told {
+            if let Report::Status(status) = report {
+                self.status = (**status).clone();
+            }
+        }
+        told
+    }
+
+    /// Turns until the station is in `state`; false: it is not within so many turns of 100 ms.
+    pub(crate) fn until(&mut self, state: State, turns: usize) -> bool {
+        (0..turns).any(|_| {
+            self.turn();
+            self.status.state == state
+        })
+    }
+
+    /// Gives an order, and turns until it is answered.
+    pub(crate) fn order(&mut self, order: Order) -> Vec<Report> {
+        self.orders.send(order).expect("it lives");
+        self.turn()
+    }
+
+    /// What the next trigger brings.
+    pub(crate) fn put(&self, paint: Paint, deviation: Deviation, build: Build) {
+        *self.next.lock().expect("no panic") = Some((paint, deviation, build));
+    }
+
+    /// A vehicle of job 1 as it may come, its cycle ordered and ended. `None`: the order was refused.
+    pub(crate) fn measure(&mut self, paint: Paint, random: &mut Random) -> Option<Cycle> {
+        self.put(paint, deviation(random), Build::random(random));
+        let began = self.world.now();
+        self.id += 1;
+        let _ = self.finished.try_iter().count(); // of orders given otherwise
+        let reports = self.order(Order::Measure(Trigger { id: self.id, job: 1, ..Trigger::default() }));
+        let finished = self.finished.try_iter().last()?;
+        Some(Cycle { finished, reports, took: self.world.now() - began })
+    }
+
+    /// Whether any light is on.
+    pub(crate) fn lit(&self) -> bool {
+        let (bars, projector) = self.world.lights();
+        bars != [0.0; 2] || projector
+    }
+}
+
+impl Cycle {
+    pub(crate) fn outcome(&self) -> &Outcome {
+        &self.finished.outcome
+    }
+
+    /// mm at the features' centroid, degrees about the vertical, and the largest distance at a target over its U (k = 2).
+    pub(crate) fn error(&self) -> Option<(f64, f64, f64)> {
+        let (m, truth): (&Measurement, _) = (self.finished.measurement.as_ref()?, self.finished.truth?);
+        let p = m.camera_from_vehicle.as_ref()?;
+        let r = Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| p.rotation[i][j]));
+        let measured = Pose::<frame::Camera, frame::Vehicle>::new(r, p.translation_mm.into());
+        let motion: Pose<frame::Vehicle, frame::Vehicle> = truth.inverse() * measured;
+        let off = |at: [f64; 3]| {
+            let at = Point3::new(Vector3::from(at));
+            ((motion * at) - at).norm()
+        };
+        let at = |name: &str| match name {
+            "front-radar" => [900.0, 0.0, 500.0],
+            "windscreen-camera" => [-600.0, 0.0, 1300.0],
+            "rear-axle" => [-2640.0, 0.0, 340.0],
+            other => panic!("no such target: {other}"),
+        };
+        let targets = &m.uncertainty_k2.as_ref()?.targets;
+        let worst = targets.iter().map(|t| off(at(&t.name)) / t.mm).fold(0.0, f64::max);
+        Some((off(m.covariance_at_mm?), motion.r.scaled_axis().z.abs().to_degrees(), worst))
+    }
+
+    /// A pose that was given out is wrong: by 0.5 mm at the centroid, 0.15° in yaw, or twice its U at a target.
+    pub(crate) fn is_wrong(&self) -> bool {
+        self.outcome().pose.is_some() && self.error().is_none_or(|(mm, deg, u)| mm > 0.5 || deg > 0.15 || u > 2.0)
+    }
+}
