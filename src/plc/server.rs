@@ -301,3 +301,56 @@ async fn serve(mut stream: TcpStream, address: SocketAddr, leave: Leave) {
         tokio::task::yield_now().await; // one frame each in turn, however many a client sends at once
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc;
+
+    fn shared() -> Arc<Shared> {
+        let settings =
+            Settings { heartbeat_timeout: Duration::from_secs(3), presence: false, word_order: WordOrder::HighFirst };
+        let (orders, _) = mpsc::sync_channel(1);
+        Arc::new(Shared::new(Handshake::new(settings, Identity::default()), orders))
+    }
+
+    #[test]
+    fn a_task_that_panics_is_begun_again_and_a_connection_that_panics_is_taken_off_the_list() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().expect("a runtime");
+        runtime.block_on(async {
+            let shared = shared();
+            let leave = Leave { shared: shared.clone(), id: 1 };
+            let task = tokio::spawn(async move {
+                let _leave = leave;
+                panic!("planted");
+            });
+            shared.join(1, SocketAddr::from(([127, 0, 0, 1], 9)), task.abort_handle());
+            assert!(shared.write(1, 0, &[1]).is_ok() && shared.view().owner.is_some());
+            assert!(task.await.is_err());
+            assert_eq!(shared.view(), View::default());
+            let (tell, mut told) = tokio::sync::mpsc::unbounded_channel();
+            let mut times = 0;
+            let twice = || {
+                times += 1;
+                let (tell, times) = (tell.clone(), times);
+                async move {
+                    assert!(times > 1, "planted");
+                    tell.send(times).expect("the test is there");
+                    std::future::pending::<()>().await;
+                }
+            };
+            tokio::select! {
+                () = forever("testing", twice) => {}
+                times = told.recv() => assert_eq!(times, Some(2)),
+            }
+        });
+    }
+
+    #[test]
+    fn a_panic_at_a_report_leaves_the_handshake_to_the_others() {
+        let shared = shared();
+        survive("a test", || shared.panic_under_the_lock());
+        shared.step(Event::Beat);
+        assert_eq!(shared.newest().input(1, 1).expect("DEVICE_HEARTBEAT"), [1]);
+    }
+}

@@ -174,6 +174,12 @@ impl Shared {
         }
     }
 
+    #[cfg(test)]
+    pub(super) fn panic_under_the_lock(&self) {
+        let _core = self.core();
+        panic!("planted");
+    }
+
     /// How long ago the server began.
     pub(super) fn elapsed(&self) -> Duration {
         self.began.elapsed()
