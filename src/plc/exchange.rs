@@ -3,6 +3,7 @@
 //! Not here: registers and bits, when an order may be given (the handshake), how it is carried out (the station).
 
 use crate::code::Code;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 /// A vehicle identification number: 17 characters, or fewer.
@@ -311,4 +312,20 @@ pub struct Identity {
     pub calibration_fingerprint: u32,
     /// yyyymmdd; 0: not known.
     pub calibration_date: u32,
+}
+
+/// The station thread's sign of life.
+#[derive(Debug, Default)]
+pub struct Pulse(AtomicU64);
+
+impl Pulse {
+    /// The station is alive.
+    pub fn beat(&self) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// How often it has been; another number than before means that it lives.
+    pub fn count(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
 }

@@ -166,6 +166,8 @@ pub(super) struct Handshake {
     pub(super) heartbeat_losses: u32,
     /// The stand-by that the station was told.
     standing_by: bool,
+    /// What the station was last told of whether there is an owner.
+    told_owned: bool,
     orders: Vec<Order>,
 }
 
@@ -198,6 +200,7 @@ impl Handshake {
             rejected_triggers: 0,
             heartbeat_losses: 0,
             standing_by: false,
+            told_owned: false,
             orders: Vec::new(),
         }
     }
@@ -205,7 +208,7 @@ impl Handshake {
     /// Takes one event. `now` never goes back.
     pub(super) fn step(&mut self, now: Duration, event: Event) -> Step {
         let mut not_owner = false;
-        let undelivered = matches!(event, Event::Undelivered(_)); // stand-by is tried again with the next event
+        let undelivered = matches!(event, Event::Undelivered(_)); // tried again with the next event
         match event {
             Event::Write { client, address, words } => not_owner = !self.write(now, client, address, words),
             Event::Closed(client) => {
@@ -217,6 +220,10 @@ impl Handshake {
             Event::Undelivered(order) => self.undelivered(now, &order),
             Event::Beat => self.heartbeat = self.heartbeat.wrapping_add(1),
             Event::Tick => self.tick(now),
+        }
+        if self.owner.is_some() != self.told_owned && !undelivered {
+            self.told_owned = self.owner.is_some();
+            self.orders.push(Order::Own(self.told_owned));
         }
         let stand_by = self.commanded(control::STANDBY);
         if stand_by != self.standing_by && !undelivered {
@@ -583,6 +590,10 @@ impl Handshake {
             Order::ClearError => OrderKind::ClearError,
             Order::StandBy(told) => {
                 self.standing_by = !told;
+                return;
+            }
+            Order::Own(told) => {
+                self.told_owned = !told;
                 return;
             }
         };

@@ -69,7 +69,7 @@ fn station(order: &Order) -> Vec<Report> {
         Order::Verify => vec![Report::Done(OrderKind::Verify)],
         Order::Abort => vec![Report::Done(OrderKind::Abort)],
         Order::ClearError => vec![Report::Done(OrderKind::ClearError)],
-        Order::StandBy(_) => vec![],
+        Order::StandBy(_) | Order::Own(_) => vec![],
     }
 }
 
@@ -119,7 +119,8 @@ impl Bench {
 
     fn step(&mut self, event: Event) -> bool {
         let step = self.h.step(self.now, event);
-        self.orders.extend(step.orders);
+        // who owns is told beside what is ordered: a test of its own
+        self.orders.extend(step.orders.into_iter().filter(|o| !matches!(o, Order::Own(_))));
         !step.not_owner
     }
 
@@ -1042,4 +1043,18 @@ fn whatever_is_written_and_reported_no_pose_is_shown_without_its_vehicle() {
         }
         Ok(())
     });
+}
+
+#[test]
+fn the_station_is_told_of_every_change_of_ownership_and_again_where_it_did_not_hear() {
+    let mut h = Bench::new(false).h;
+    let mut owns = |now: u64, event: Event| {
+        let orders = h.step(Duration::from_secs(now), event).orders;
+        orders.into_iter().filter_map(|o| if let Order::Own(own) = o { Some(own) } else { None }).collect::<Vec<_>>()
+    };
+    assert_eq!(owns(1, Event::Write { client: PLC, address: CONTROL, words: &[ENABLE] }), [true]);
+    assert_eq!(owns(1, Event::Undelivered(Order::Own(true))), []);
+    assert_eq!(owns(1, Event::Tick), [true]);
+    assert_eq!(owns(1, Event::Tick), []);
+    assert_eq!(owns(2, Event::Closed(PLC)), [false]);
 }

@@ -16,12 +16,12 @@ mod snapshot;
 mod words;
 
 pub use exchange::{
-    Counters, FeatureOutcome, Identity, NotReady, ORDERS, Order, OrderKind, Outcome, PoseOutcome, Report, ResultCode,
-    State, Status, Trigger, Verification, Vin,
+    Counters, FeatureOutcome, Identity, NotReady, ORDERS, Order, OrderKind, Outcome, PoseOutcome, Pulse, Report,
+    ResultCode, State, Status, Trigger, Verification, Vin,
 };
 pub use network::{Network, NoNetwork};
 pub use pages::{csv, function_block, page};
 pub use registers::{MAP_MAJOR, MAP_MINOR};
-pub use server::{Config, Error, Pulse, Server};
+pub use server::{Config, Error, Server};
 pub use shared::{CLIENTS, View};
 pub use words::WordOrder;

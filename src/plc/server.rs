@@ -2,7 +2,7 @@
 //! In:  connections, reports, the station's pulse. Out: responses, orders.
 //! Not here: what a frame is (the guard), what it is answered (the service), when orders are given (the handshake).
 
-use super::exchange::{Identity, Order, Report};
+use super::exchange::{Identity, Order, Pulse, Report};
 use super::guard::Reader;
 use super::handshake::{ClientId, Event, Handshake, Settings};
 use super::network::Network;
@@ -92,21 +92,6 @@ pub enum Error {
         /// What the system said.
         source: std::io::Error,
     },
-}
-
-/// The station thread's sign of life.
-#[derive(Debug, Default)]
-pub struct Pulse(AtomicU64);
-
-impl Pulse {
-    /// The station is alive.
-    pub fn beat(&self) {
-        self.0.fetch_add(1, Ordering::Relaxed);
-    }
-
-    fn count(&self) -> u64 {
-        self.0.load(Ordering::Relaxed)
-    }
 }
 
 /// A server that runs until it is dropped. Dropping it drops the sender of orders, which ends the station.

@@ -39,13 +39,6 @@ pub struct Policy {
     pub nth_good: u32,
 }
 
-impl Default for Policy {
-    /// Every 50th good one: some ten a shift, to see what changes before anything is refused.
-    fn default() -> Self {
-        Self { nth_good: 50 }
-    }
-}
-
 impl Policy {
     /// Whether the images of a vehicle are kept: every one that is not ok, every n-th that is, and whatever the PLC
     /// asks for. `totals`: as they are before this vehicle.

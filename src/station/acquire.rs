@@ -274,8 +274,7 @@ impl Try<'_> {
             let (finished, result) = mpsc::channel();
             let (first, first_capture) = ([&image, &ambient].map(Arc::clone), capture.clone());
             scope.spawn(move || {
-                let measured =
-                    catch_unwind(AssertUnwindSafe(|| measure(measurer, first_capture, first, &fed, &say)));
+                let measured = catch_unwind(AssertUnwindSafe(|| measure(measurer, first_capture, first, &fed, &say)));
                 let _ = finished.send(measured.map_err(|panic| reason(&*panic)));
             });
             let fringes = s.fringes(n, &mut |k, shot| {
@@ -311,8 +310,7 @@ impl Try<'_> {
             s.show(None)?;
             let began = Instant::now();
             let _ = feed.send(Feed::Finish(Arc::clone(&fringes[0]), Arc::clone(&repeat)));
-            attempt.images =
-                Some((Shots { red: image, ambient, fringes, repeat: Some(repeat) }, capture));
+            attempt.images = Some((Shots { red: image, ambient, fringes, repeat: Some(repeat) }, capture));
             watch.borrow_mut().taken();
             let measured = loop {
                 match result.recv_timeout(LOOK) {

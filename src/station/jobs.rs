@@ -26,6 +26,8 @@ pub struct Job {
     pub measurer: Measurer,
     /// The model.
     pub vehicle: VehicleFile,
+    /// Its templates as they were read, one per feature: kept with the images they measured.
+    pub templates: Vec<Vec<u8>>,
 }
 
 /// Why a model is not used: a code, and a sentence that names the file.
@@ -123,6 +125,7 @@ fn ready(number: u16, file: &Path, calibration: &Calibration) -> Result<Job, Unu
         fingerprint,
         measurer: Measurer::new(calibration.clone(), vehicle.clone()).map_err(bad)?,
         vehicle,
+        templates,
     })
 }
 

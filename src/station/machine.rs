@@ -18,11 +18,13 @@ use crate::code::Code;
 use crate::geometry::{Pose, frame};
 use crate::hal::{Clock, Pool};
 use crate::measure::Measurement;
-use crate::plc::{Order, OrderKind, Outcome, Report, ResultCode, State as Mode, Status, Trigger};
+use crate::plc::{
+    Counters, Order, OrderKind, Outcome, Pulse, Report, ResultCode, State as Mode, Status, Trigger, Verification,
+};
 use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
@@ -51,21 +53,43 @@ pub type WriteImages = Box<dyn FnOnce(&Path) -> Result<(), RecordError> + Send>;
 
 /// Where results and images are kept. What goes wrong with it never stops measuring.
 pub trait Store: Send {
-    /// Keeps a result; its key. Comes back when it is safe.
-    fn append(&mut self, finished: &Finished) -> Result<u64, Code>;
-    /// Keeps the images of the result `key`; comes back at once.
-    fn keep(&mut self, key: u64, images: WriteImages) -> Result<(), Code>;
+    /// Whether the images of such a result are to be kept.
+    fn keeps(&self, outcome: &Outcome) -> bool;
+    /// Keeps a result of `job`, whose images will be kept or not; its key. Comes back when it is safe.
+    fn append(&mut self, finished: &Finished, job: &Job, images: bool) -> Result<u64, Code>;
+    /// Keeps the images of the result `key`, which `job` measured; comes back at once.
+    fn keep(&mut self, key: u64, job: &Job, images: WriteImages) -> Result<(), Code>;
+    /// Keeps that something went wrong, or was put right; what cannot be kept is told with the next result.
+    fn note(&mut self, note: Note);
+    /// Share of the storage that is free, 0 to 1.
+    fn free(&self) -> Option<f64>;
+}
+
+/// What else is kept.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Note {
+    /// An error that latched.
+    Alarm(Code),
+    /// A verification: what it said, and what was wrong with it.
+    Verification(Option<Verification>, Result<(), (Code, String)>),
 }
 
 /// Keeps nothing.
 pub struct NoStore;
 
 impl Store for NoStore {
-    fn append(&mut self, _: &Finished) -> Result<u64, Code> {
+    fn keeps(&self, _: &Outcome) -> bool {
+        false
+    }
+    fn append(&mut self, _: &Finished, _: &Job, _: bool) -> Result<u64, Code> {
         Ok(0)
     }
-    fn keep(&mut self, _: u64, _: WriteImages) -> Result<(), Code> {
+    fn keep(&mut self, _: u64, _: &Job, _: WriteImages) -> Result<(), Code> {
         Ok(())
+    }
+    fn note(&mut self, _: Note) {}
+    fn free(&self) -> Option<f64> {
+        None
     }
 }
 
@@ -116,8 +140,10 @@ pub struct Parts {
     pub told: Box<dyn FnMut(&Finished) + Send>,
     /// Records.
     pub store: Box<dyn Store>,
+    /// What was counted since the beginning of the records.
+    pub counters: Counters,
     /// Goes up while the station lives.
-    pub pulse: Arc<AtomicU64>,
+    pub pulse: Arc<Pulse>,
     /// True: end.
     pub stop: Arc<AtomicBool>,
     /// How it idles.
@@ -168,6 +194,7 @@ impl Machine {
             calibration_valid: true,
             // where vehicles come when they are asked for, none stands there before
             presence_fitted: parts.hardware.presence.is_some() && parts.world.is_none(),
+            counters: parts.counters,
             ..Status::default()
         };
         Self {
@@ -199,7 +226,7 @@ impl Machine {
 
     /// Looks about once and does what is to be done. False: it is to end; the lights are off.
     pub fn turn(&mut self) -> bool {
-        self.parts.pulse.fetch_add(1, Ordering::Relaxed);
+        self.parts.pulse.beat();
         if self.parts.stop.load(Ordering::Relaxed) {
             let _ = self.parts.hardware.dark(); // dropping tries again
             return false;
@@ -354,6 +381,7 @@ impl Machine {
                 None
             }
             Action::Latch(code) => {
+                self.parts.store.note(Note::Alarm(code));
                 self.tell(Report::Error(code, 0));
                 None
             }
@@ -384,6 +412,7 @@ impl Machine {
         s.job_fingerprint = job.map_or(0, |j| j.fingerprint);
         s.bars_on = matches!(state.mode, Mode::Acquiring | Mode::Verify | Mode::SelfTest);
         s.projector_on = s.bars_on;
+        s.disk_free = self.parts.store.free();
         s.verified_ago = self.verified_at.map(|at| now.saturating_sub(at));
         s.verify_due = self.parts.config.artefact.as_ref().is_some_and(|a| {
             a.every_h > 0.0 && s.verified_ago.is_none_or(|ago| ago.as_secs_f64() > 3600.0 * a.every_h)
@@ -409,7 +438,7 @@ impl Machine {
         let folder = std::env::temp_dir().join(format!("datum-verify-{}", std::process::id()));
         let (pulse, stop) = (&self.parts.pulse, &self.parts.stop);
         let mut go_on = || {
-            pulse.fetch_add(1, Ordering::Relaxed);
+            pulse.beat();
             !stop.load(Ordering::Relaxed)
         };
         let hardware = &mut self.parts.hardware;
@@ -426,6 +455,7 @@ impl Machine {
                 self.status.counters.verify_ok += 1;
                 self.status.calibration_valid = true;
                 self.status.not_ready.calibration = false;
+                self.parts.store.note(Note::Verification(Some(verification), Ok(())));
                 self.tell(Report::Done(OrderKind::Verify));
             }
             Err(failed) => {
@@ -439,6 +469,8 @@ impl Machine {
                     fault = Some(failed.code);
                 }
                 tracing::warn!(code = failed.code.number(), "verification: {}", failed.said);
+                let wrong = Err((failed.code, failed.said));
+                self.parts.store.note(Note::Verification(failed.verification, wrong));
                 self.tell(Report::Refused { order: OrderKind::Verify, code: failed.code, detail: 0 });
             }
         }
@@ -484,7 +516,7 @@ impl Machine {
         if let Some(world) = &mut self.parts.world {
             world.leave();
         }
-        self.finish(finished, images);
+        self.finish(finished, &job, images);
         fault
     }
 
@@ -589,7 +621,7 @@ impl Machine {
     }
 
     /// Counts, keeps and tells a result.
-    fn finish(&mut self, mut finished: Finished, images: Option<Images>) {
+    fn finish(&mut self, mut finished: Finished, job: &Job, images: Option<Images>) {
         let outcome = &mut finished.outcome;
         let c = &mut self.status.counters;
         c.results = c.results.wrapping_add(1);
@@ -601,16 +633,11 @@ impl Machine {
             ResultCode::Aborted => &mut c.aborted,
         };
         *count = count.wrapping_add(1);
-        let (ok, every) = (c.ok, self.parts.config.records.keep_every);
-        let keep = match outcome.result {
-            ResultCode::Ok => every > 0 && ok % every == 0,
-            ResultCode::NotMeasurable => every > 0,
-            _ => false,
-        } || outcome.trigger.keep_images;
         if let Some(total) = outcome.total.filter(|_| outcome.result != ResultCode::Aborted) {
             self.durations.add(total);
         }
-        let stored = self.parts.store.append(&finished);
+        let keep = images.is_some() && self.parts.store.keeps(&finished.outcome);
+        let stored = self.parts.store.append(&finished, job, keep);
         finished.outcome.record = stored.unwrap_or(0);
         let kept = match (images, stored) {
             (Some((shots, mut capture)), Ok(key)) if keep => {
@@ -618,6 +645,7 @@ impl Machine {
                 let bits = self.parts.hardware.camera.sensor().bits;
                 self.parts.store.keep(
                     key,
+                    job,
                     Box::new(move |folder| {
                         capture.folder = folder.into();
                         write(&shots, &capture, bits)
@@ -679,7 +707,7 @@ struct Watcher<'m> {
     pending: &'m mut VecDeque<Order>,
     report: &'m mut (dyn FnMut(Report) + Send),
     clock: &'m dyn Clock,
-    pulse: &'m AtomicU64,
+    pulse: &'m Pulse,
     stop: &'m AtomicBool,
     status: &'m mut Status,
     world: Option<&'m dyn World>,
@@ -697,7 +725,7 @@ struct Watcher<'m> {
 
 impl Watcher<'_> {
     fn look(&mut self) {
-        self.pulse.fetch_add(1, Ordering::Relaxed);
+        self.pulse.beat();
         if self.stop.load(Ordering::Relaxed) {
             self.aborted = true;
         }

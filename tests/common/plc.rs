@@ -141,7 +141,7 @@ pub(crate) fn good_station(order: &Order) -> Vec<Report> {
         Order::Verify => vec![Report::Done(OrderKind::Verify)],
         Order::Abort => vec![Report::Done(OrderKind::Abort)],
         Order::ClearError => vec![Report::Done(OrderKind::ClearError)],
-        Order::StandBy(_) => vec![],
+        Order::StandBy(_) | Order::Own(_) => vec![],
     }
 }
 

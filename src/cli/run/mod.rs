@@ -1,0 +1,199 @@
+//! `datum run`: the appliance. In: a configuration or none. Out: poses to the PLC, records, what a person sees; until it
+//! is told to end.
+
+mod line;
+mod models;
+mod store;
+mod view;
+
+use super::Status;
+use crate::Calibration;
+use crate::plc::{self, Identity, ORDERS, Report, Server, State, WordOrder};
+use crate::records::Fault;
+use crate::station::{Hardware, Machine, Pace, Parts, Simulated, StationFile, Store, Traffic, TriggerKind, load_all};
+use anyhow::Context;
+use sd_notify::NotifyState;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+use tracing_subscriber::filter::LevelFilter;
+use view::View;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// The station's configuration; none: the built-in simulated station
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Ends after so many vehicles
+    #[arg(long, value_name = "N")]
+    vehicles: Option<u64>,
+    /// Tells more: -v what happens, -vv everything
+    #[arg(short, long, action = clap::ArgAction::Count)]
+    verbose: u8,
+}
+
+/// The main thread looks at the PLC's side, the station's life and the signals this often.
+const LOOK: Duration = Duration::from_millis(200);
+/// The station's thread gives a sign of life at least this often, or it hangs.
+const PATIENCE: Duration = Duration::from_secs(5);
+
+/// Why a station of such devices cannot run.
+pub(super) fn not_built(key: &str) -> String {
+    format!("{key}: this datum is built without that driver; it comes with the drivers. Allowed so far: \"simulated\"")
+}
+
+pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
+    let config = a.config.as_deref().map_or_else(|| Ok(StationFile::default()), StationFile::read)?;
+    if let Some(key) = config.not_built() {
+        anyhow::bail!("{}: {}", config.file.display(), not_built(&key));
+    }
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGTERM, SIGINT] {
+        signal_hook::flag::register(signal, Arc::clone(&stop)).context("signals")?;
+    }
+    let view = View::new();
+    log(a.verbose, &view);
+
+    let simulated = Simulated::new(config.simulation.scale, config.simulation.seed);
+    let calibration = match &config.calibration {
+        Some(file) => Calibration::read(&config.beside(file))?,
+        None => simulated.calibration(),
+    };
+    let identity = identity(&config, &calibration, &simulated);
+    let records = config.beside(&config.records.folder);
+    let kept = store::Kept::open(&records, &config.records, &calibration, identity.calibration_fingerprint);
+    let kept = match kept {
+        Ok(kept) => kept,
+        Err(held @ Fault::Held { .. }) => {
+            eprintln!("error: {held} End it first (on an appliance: systemctl stop datum).");
+            return Ok(Status::Device);
+        }
+        Err(fault) => return Err(fault.into()),
+    };
+    let (order, orders) = mpsc::sync_channel(ORDERS);
+    let (reported, reports) = mpsc::channel();
+    let pulse = Arc::new(plc::Pulse::default());
+    let server = Server::start(server(&config)?, identity, order, reports, Arc::clone(&pulse))?;
+    view.listens(server.local_addr());
+    view.say(&format!("Modbus TCP on {}", server.local_addr()));
+
+    let folder = config.beside(&config.jobs.folder);
+    let more_jobs = models::models(&simulated, &config, &calibration, &stop)?;
+    let jobs = load_all(&folder, &calibration);
+    for broken in jobs.unusable() {
+        tracing::warn!(code = broken.code.number(), "{}", broken.said);
+    }
+    view.say(&format!("{}: {} jobs ready", folder.display(), jobs.usable().count()));
+
+    let hardware: Hardware = simulated.hardware();
+    let allowed_ms = config.cycle.acquire_ms;
+    let (mut count, limit) = (0, a.vehicles);
+    let (done, seen, told) = (Arc::clone(&stop), view.clone(), view.clone());
+    let mut ready = false;
+    let parts = Parts {
+        hardware,
+        clock: simulated.clock(),
+        world: Some(Box::new(Traffic::new(&simulated.station, config.simulation.seed))),
+        calibration,
+        jobs,
+        more_jobs: Some(more_jobs),
+        orders,
+        report: Box::new(move |report| {
+            match &report {
+                Report::Status(status) => {
+                    seen.status(status);
+                    if status.state == State::Ready && !std::mem::replace(&mut ready, true) {
+                        let _ = sd_notify::notify(&[NotifyState::Ready]); // no systemd, nobody to tell
+                    }
+                }
+                Report::Error(code, _) => seen.fault(*code),
+                _ => {}
+            }
+            let _ = reported.send(report); // the server has ended: so does the station
+        }),
+        told: Box::new(move |finished| {
+            told.finished(finished);
+            count += 1;
+            if count == 1 {
+                told.say(line::budget(finished, allowed_ms).trim_end());
+            }
+            if limit.is_some_and(|n| count >= n) {
+                done.store(true, Ordering::Relaxed);
+            }
+        }),
+        counters: kept.counters(),
+        store: Box::new(kept) as Box<dyn Store>,
+        pulse: Arc::clone(&pulse),
+        stop: Arc::clone(&stop),
+        pace: Pace::Wall,
+        config,
+    };
+    let station = std::thread::Builder::new().name("station".into()).spawn(move || Machine::new(parts).run());
+    let station = station.context("the station's thread")?;
+    let (mut beats, mut moved) = (pulse.count(), Instant::now());
+    while !station.is_finished() {
+        std::thread::sleep(LOOK);
+        view.plc(&server.view());
+        if pulse.count() != beats {
+            (beats, moved) = (pulse.count(), Instant::now());
+        }
+        if moved.elapsed() < PATIENCE {
+            let _ = sd_notify::notify(&[NotifyState::Watchdog]); // else systemd starts it anew
+        }
+    }
+    let _ = sd_notify::notify(&[NotifyState::Stopping]);
+    view.end();
+    anyhow::ensure!(station.join().is_ok(), "the station's thread panicked; bars and projector are off");
+    drop(server);
+    Ok(Status::Done)
+}
+
+/// Warnings, and more if asked for, where the view shows them; without a page that is standard error, for journald.
+fn log(verbose: u8, view: &View) {
+    let level = match verbose {
+        0 => LevelFilter::WARN,
+        1 => LevelFilter::INFO,
+        _ => LevelFilter::DEBUG,
+    };
+    let view = view.clone();
+    let log = tracing_subscriber::fmt().with_max_level(level).with_target(false).without_time().with_ansi(false);
+    // a second subscriber in one process: tests
+    let _ = tracing::subscriber::set_global_default(log.with_writer(move || view.clone()).finish());
+}
+
+/// The server's side of the configuration, which has been checked.
+fn server(config: &StationFile) -> anyhow::Result<plc::Config> {
+    let keys = &config.plc;
+    let listen = keys.listen.parse().with_context(|| format!("plc.listen = {:?}", keys.listen))?;
+    let allow: Result<Vec<plc::Network>, _> = keys.allow.iter().map(|n| n.parse()).collect();
+    Ok(plc::Config {
+        listen,
+        allow: allow.context("plc.allow")?,
+        word_order: match keys.word_order {
+            crate::station::WordOrder::HighFirst => WordOrder::HighFirst,
+            crate::station::WordOrder::LowFirst => WordOrder::LowFirst,
+        },
+        heartbeat_timeout: Duration::from_secs_f64(keys.heartbeat_s),
+        presence: config.cycle.trigger == TriggerKind::Presence,
+        ..plc::Config::default()
+    })
+}
+
+fn identity(config: &StationFile, calibration: &Calibration, simulated: &Simulated) -> Identity {
+    let crc = |bytes: &[u8]| crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes);
+    // the date that its id begins with
+    let date = calibration.id.as_deref().and_then(|id| id.get(..10)).map(|d| d.replace('-', ""));
+    let version = env!("CARGO_PKG_VERSION");
+    Identity {
+        serial: config.serial.clone(),
+        version: version.into(),
+        software_fingerprint: crc::Crc::<u16>::new(&crc::CRC_16_MODBUS).checksum(version.as_bytes()),
+        camera_serial: simulated.hardware().camera.sensor().serial.clone(),
+        projector_serial: String::new(),
+        calibration_fingerprint: std::fs::read(&calibration.file).map_or(0, |bytes| crc(&bytes)),
+        calibration_date: date.and_then(|d| d.parse().ok()).unwrap_or(0),
+    }
+}
