@@ -15,8 +15,8 @@ mod triangulate;
 mod unwrap;
 
 pub use accumulate::Accumulator;
-pub use decode::{Limits, Phase, PhaseMap, State, decode};
-pub use epipolar::{EpipolarCell, epipolar_cells};
+pub use decode::{Limits, Phase, PhaseMap, State, decode, decode_where};
+pub use epipolar::{EpipolarCell, epipolar_cells, is_sampled};
 pub use noise::{NoiseLaw, NoiseSample, difference_samples, residual_samples};
 pub use pattern::{Axis, PatternSet};
 pub use triangulate::{Depth, DepthMap, Rays, epipolar_residual, projector_coordinate, triangulate};

@@ -91,6 +91,11 @@ impl Rays {
         self.ray(position(&self.window, x, y).expect("inside the window"))
     }
 
+    /// The rays of pixels `range` of the window, row by row: (x, y) at z = 1.
+    pub fn part(&self, range: std::ops::Range<usize>) -> &[Vector2<f64>] {
+        &self.normalised[range]
+    }
+
     fn ray(&self, i: usize) -> Vector3<f64> {
         self.normalised[i].push(1.0)
     }

@@ -25,10 +25,10 @@ impl Run<'_, '_> {
     /// Fringe images of a still body under steady light are samples of a sine almost everywhere on the panel. Where
     /// they are not, what passes the checks by chance is wrong too.
     pub(super) fn contradictory(&self, coordinates: &CoordinateMap, sites: &[Site<'_>]) -> Option<Refused> {
-        let rig = &self.cycle.measurer.calibration.rig;
+        let camera = &self.cycle.measurer.depth_rig.camera;
         let (mut usable, mut against) = (0usize, 0usize);
         for site in sites {
-            body::panel_states(coordinates, &rig.camera, site, |state| {
+            body::panel_states(coordinates, &self.cycle.rays, camera, site, |state| {
                 usable += usize::from(matches!(state, State::Valid | State::NotSine | State::WrongOrder));
                 against += usize::from(matches!(state, State::NotSine | State::WrongOrder));
             });
@@ -48,7 +48,7 @@ impl Run<'_, '_> {
     pub(super) fn epipolar(&self, sites: &[Site<'_>]) -> Option<Refused> {
         let m = self.cycle.measurer;
         let residual = |site: &Site<'_>| {
-            let w = about(m, &site.local.origin.xyz, body::REACH_MM)?;
+            let w = about(&m.calibration.rig.camera, &site.local.origin.xyz, body::REACH_MM)?;
             let inside = |c: &&EpipolarCell| {
                 let (x, y) = (c.pixel.x - w.x as f64, c.pixel.y - w.y as f64);
                 (0.0..w.width as f64).contains(&x) && (0.0..w.height as f64).contains(&y)

@@ -2,7 +2,7 @@
 //! In:  images and what the capture says of them. Out: a `Measurement`. No I/O, no clock: an observer is told
 //! where stages end. No state from one vehicle to the next.
 
-use super::body::{self, Patch, Shape, Site};
+use super::body::{self, OnPlane, Samples, Shape, Site};
 use super::depth::{BodyDepth, Decoded, red_noise};
 use super::edges;
 use super::judge::{self, Evidence, Judged, Refused};
@@ -15,8 +15,9 @@ use crate::code::Code;
 use crate::fringe::{self, Axis, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
 use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
 use crate::image::{Image, Window};
-use crate::optics::Pixel;
-use nalgebra::{Matrix3, Vector3};
+use crate::optics::{Lens, Pixel};
+use nalgebra::{Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
 
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
 
@@ -37,8 +38,10 @@ pub enum Stage {
     Pose,
 }
 
-/// Regions are decoded this much wider than the widest patch, mm: for the first pose's error.
-const REGION_MARGIN_MM: f64 = 10.0;
+/// Regions are decoded this much wider than the widest patch and than the panel, mm: for the first pose's error.
+pub(super) const MARGIN_MM: f64 = 10.0;
+/// What of that a pose from depth may use up; the passes that follow move it no farther than the rest.
+const MARGIN_USED_MM: f64 = 7.0;
 /// Passes over all features; the pose is still by then.
 const MAX_PASSES: usize = 6;
 /// Rotation (rad) and translation (mm) below which a pass has changed nothing.
@@ -67,6 +70,8 @@ pub struct Cycle<'a> {
     pub(super) regions: Vec<Result<Region, Code>>,
     pub(super) first_pose: Option<CameraFromVehicle>,
     pub(super) light: Light,
+    /// Of the pixels that depth is looked for in.
+    pub(super) rays: Rays,
     pub(super) fringes: Fringes,
     pub(super) moved: bool,
 }
@@ -79,7 +84,9 @@ impl<'a> Cycle<'a> {
             Image { width: red.width, height: red.height, pixels: red.pixels.iter().map(|&v| f32::from(v)).collect() };
         let mut regions = regions::find(&as_f32, camera, &measurer.templates);
         let first_pose = regions::first_pose(camera, &measurer.templates, &mut regions);
-        let windows = first_pose.map(|pose| region_windows(measurer, &pose)).unwrap_or_default();
+        let window = first_pose.and_then(|pose| depth_window(measurer, &pose)).unwrap_or(Window::whole(1, 1));
+        let rays = Rays::new(&measurer.depth_rig.camera, window);
+        let wanted = first_pose.map(|pose| wanted(measurer, &pose, &rays)).unwrap_or_default();
         let white = capture.camera.white_level();
         let red_saturated = measurer
             .templates
@@ -87,8 +94,8 @@ impl<'a> Cycle<'a> {
             .map(|t| first_pose.map_or(0.0, |pose| saturated_share(red, white, camera, &t.local(&pose).origin.xyz)))
             .collect();
         let light = Light::new(&as_f32, capture.camera.black_level);
-        let fringes = Fringes::new(capture, bounding(&windows).unwrap_or(Window::whole(1, 1)), None);
-        Self { measurer, capture, red: as_f32, red_saturated, regions, first_pose, light, fringes, moved: false }
+        let fringes = Fringes::as_they_come(capture, window, measurer.every, wanted);
+        Self { measurer, capture, red: as_f32, red_saturated, regions, first_pose, light, rays, fringes, moved: false }
     }
 
     /// Takes image `step` of fringe set `set`, in any order.
@@ -106,7 +113,7 @@ impl<'a> Cycle<'a> {
         let gain = self.capture.fringes.first().and_then(|f| f.gain_dn_per_e).unwrap_or(TYPICAL_GAIN);
         let camera = &self.capture.camera;
         let noise = NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level);
-        let (w, white) = (self.fringes.window, self.capture.camera.white_level());
+        let (w, white) = (self.fringes.in_image(first), self.capture.camera.white_level());
         let (mut sum, mut n) = (0.0, 0.0);
         for y in w.y..w.y + w.height {
             for (a, b) in first.row(y)[w.x..w.x + w.width].iter().zip(&repeat.row(y)[w.x..w.x + w.width]) {
@@ -121,7 +128,8 @@ impl<'a> Cycle<'a> {
     }
 
     /// The measurement. `ended` is told when each stage has ended.
-    pub fn finish(self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
+    pub fn finish(mut self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
+        let decoded = Decoded::wanted(&mut self.fringes, self.capture);
         let mut run = Run {
             cycle: &self,
             located: Vec::new(),
@@ -130,7 +138,7 @@ impl<'a> Cycle<'a> {
             axis: Axis::Column,
             cells: Vec::new(),
         };
-        let outcome = run.pose(ended);
+        let outcome = run.pose(decoded, ended);
         let health = run.health();
         let outcome = match &health {
             Some(health) => outcome.and_then(|judged| run.with_health(judged, health)),
@@ -156,13 +164,17 @@ pub(super) struct Run<'c, 'a> {
     pub(super) cells: Vec<EpipolarCell>,
 }
 
-impl Run<'_, '_> {
+impl<'c> Run<'c, '_> {
     pub(super) fn refuse(code: Code, detail: impl Into<String>) -> Refused {
         Refused { code, detail: detail.into(), distance_deviation_mm: None }
     }
 
     /// Regions, depth, features, pose: each pass finds the features with the pose of the one before.
-    fn pose(&mut self, ended: &mut dyn FnMut(Stage)) -> Result<Judged, Refused> {
+    fn pose(
+        &mut self,
+        decoded: Result<Decoded, fringe::Error>,
+        ended: &mut dyn FnMut(Stage),
+    ) -> Result<Judged, Refused> {
         let c = self.cycle;
         if c.moved {
             let detail = "The repeated fringe image differs from the first by more than noise.";
@@ -177,60 +189,54 @@ impl Run<'_, '_> {
             );
             return Err(Self::refuse(Code::TooDark, detail));
         }
-        let (rig, templates) = (&c.measurer.calibration.rig, &c.measurer.templates);
+        let (m, rig, templates) = (c.measurer, &c.measurer.calibration.rig, &c.measurer.templates);
         self.located = c.regions.iter().map(|r| Err(r.err().unwrap_or(Code::TooFewFeatures))).collect();
         let found = c.regions.iter().filter(|r| r.is_ok()).count();
         let Some(first) = c.first_pose.filter(|_| found >= 2) else { return Err(self.too_few()) };
-        let Decoded { mut coordinates, across, noise } =
-            Decoded::new(&c.fringes, c.capture).map_err(|e| Self::refuse(Code::PhaseAmbiguity, e.to_string()))?;
-        let rays = Rays::new(&rig.camera, c.fringes.window);
+        let ambiguous = |e: fringe::Error| Self::refuse(Code::PhaseAmbiguity, e.to_string());
+        let decoded = decoded.map_err(ambiguous)?;
+        let red_noise = red_noise(c.capture, &decoded.noise);
         ended(Stage::Decode);
 
-        let far = sites(templates, &c.measurer.far_masks, &first);
-        let body = BodyDepth::new(rig, &rays, &mut coordinates, &far);
-        let Some(body) = body else {
-            let states: Vec<State> = coordinates.pixels.iter().map(|c| c.state).collect();
-            let usable = states.iter().filter(|s| **s == State::Valid).count();
-            let code = body::why_no_depth(&states, usable);
-            for located in self.located.iter_mut().filter(|l| matches!(l, Err(Code::TooFewFeatures))) {
-                *located = Err(code);
-            }
-            return Err(Self::refuse(code, "Too little of the body has depth to find its surface."));
-        };
-        self.axis = coordinates.axis;
-        if let Some(across) = &across {
-            self.cells = epipolar_cells(rig, &body.map, across);
-        }
-        let refused = self.contradictory(&coordinates, &far).or_else(|| self.epipolar(&far));
-        if let Some(refused) = refused {
-            self.located.clear(); // no feature is to blame
-            return Err(refused);
-        }
+        let far = sites(templates, &m.far_masks, &first);
+        let mut body = self.depth(decoded, &far)?;
         let mut pose = self.second_pose(&body.coarse).unwrap_or(first);
+        if !within(&pose, &first, m, MARGIN_USED_MM) {
+            // regions were decoded about another place: once more, everywhere
+            body = self.depth(Decoded::new(&c.fringes, c.capture).map_err(ambiguous)?, &far)?;
+            pose = self.second_pose(&body.coarse).unwrap_or(first);
+        }
         ended(Stage::Surface);
 
-        let red_noise = red_noise(c.capture, &noise);
         let (plain, level) = edges::without_glints(&c.red);
-        let windows = contour_windows(c.measurer, &pose);
+        let windows = contour_windows(m, &pose);
         let rays = edges::edge_rays(&plain, &level, &windows, &red_noise, &rig.camera);
+        let mut samples = self.samples(&body, &pose);
+        let mut sampled_at = pose;
         for pass in 0..MAX_PASSES {
+            if !within(&pose, &sampled_at, m, MARGIN_MM) {
+                (samples, sampled_at) = (self.samples(&body, &pose), pose);
+            }
             let capture = if pass == 0 { CAPTURE_MM.0 } else { CAPTURE_MM.1 };
-            let masks = if pass == 0 { &c.measurer.far_masks } else { &c.measurer.near_masks };
+            let masks = if pass == 0 { &m.far_masks } else { &m.near_masks };
             let sites = sites(templates, masks, &pose);
-            let mut coverage = 1f64;
-            self.located = (0..templates.len())
-                .map(|k| {
-                    if c.red_saturated[k] > MAX_SATURATED {
-                        return Err(Code::Saturated);
-                    }
-                    // a region that was not found may still be where the others' pose expects it
-                    let patch = self.patch(&body, &sites[k], k)?;
-                    coverage = coverage.min(patch.coverage);
-                    locate(&templates[k], &c.measurer.surfaces[k], &patch, &rays, capture, (rig, self.axis))
-                        .map_err(|code| c.regions[k].err().unwrap_or(code))
-                })
-                .collect();
-            self.coverage = Some(coverage);
+            let found = |k: usize| {
+                if c.red_saturated[k] > MAX_SATURATED {
+                    return (1.0, Err(Code::Saturated));
+                }
+                // a region that was not found may still be where the others' pose expects it
+                let shape = Shape::Taught(&m.surfaces[k], templates[k].surface.radius_mm);
+                let patch = match samples[k].patch(&sites[k], &shape) {
+                    Ok(patch) => patch,
+                    Err(code) => return (1.0, Err(code)),
+                };
+                let located = locate(&templates[k], &m.surfaces[k], &patch, &rays, capture, (rig, self.axis))
+                    .map_err(|code| c.regions[k].err().unwrap_or(code));
+                (patch.coverage, located)
+            };
+            let found: Vec<_> = (0..templates.len()).into_par_iter().map(found).collect();
+            self.coverage = Some(found.iter().map(|(coverage, _)| *coverage).fold(1.0, f64::min));
+            self.located = found.into_iter().map(|(_, located)| located).collect();
             let evidence = self.evidence();
             if evidence.len() < 3 {
                 ended(Stage::Contour);
@@ -246,14 +252,45 @@ impl Run<'_, '_> {
         }
         self.pose = Some(pose);
         ended(Stage::Contour);
-        judge::judge(&self.evidence(), &pose, &c.measurer.vehicle)
+        judge::judge(&self.evidence(), &pose, &m.vehicle)
     }
 
-    /// The patch about feature `k`, best at its point and along its contour.
-    fn patch(&self, body: &BodyDepth<'_>, site: &Site<'_>, k: usize) -> Result<Patch, Code> {
+    /// Depth of the body about the `far` sites, and what the fringes say of themselves and of the calibration.
+    fn depth(&mut self, decoded: Decoded, far: &[Site<'_>]) -> Result<BodyDepth<'c>, Refused> {
         let c = self.cycle;
-        let shape = Shape::Taught(&c.measurer.surfaces[k], c.measurer.templates[k].surface.radius_mm);
-        body::patch(&body.map, &c.measurer.calibration.rig.camera, site, &body.coarse, &shape)
+        let (m, mut coordinates) = (c.measurer, decoded.coordinates);
+        let Some(body) = BodyDepth::new(&m.depth_rig, &c.rays, &mut coordinates, far) else {
+            let wanted = c.fringes.wanted();
+            let looked_at = coordinates.pixels.iter().zip(wanted).filter(|(_, wanted)| **wanted);
+            let states: Vec<State> = looked_at.map(|(c, _)| c.state).collect();
+            let usable = states.iter().filter(|s| **s == State::Valid).count();
+            let code = body::why_no_depth(&states, usable);
+            for located in self.located.iter_mut().filter(|l| matches!(l, Err(Code::TooFewFeatures))) {
+                *located = Err(code);
+            }
+            return Err(Self::refuse(code, "Too little of the body has depth to find its surface."));
+        };
+        self.axis = coordinates.axis;
+        if let Some(across) = &decoded.across {
+            self.cells = epipolar_cells(&m.depth_rig, &body.map, across);
+            self.cells.iter_mut().for_each(|cell| cell.pixel *= m.every as f64);
+        }
+        let refused = self.contradictory(&coordinates, far).or_else(|| self.epipolar(far));
+        if let Some(refused) = refused {
+            self.located.clear(); // no feature is to blame
+            return Err(refused);
+        }
+        Ok(body)
+    }
+
+    /// The pixels about each feature of a vehicle that stands near `pose`.
+    fn samples(&self, body: &BodyDepth<'_>, pose: &CameraFromVehicle) -> Vec<Samples> {
+        let m = self.cycle.measurer;
+        let sites = sites(&m.templates, &m.grown_masks, pose);
+        let about = |(site, t): (&Site<'_>, &crate::vehicle::Template)| {
+            Samples::new(&body.map, &m.depth_rig.camera, site, reach(t), &body.coarse)
+        };
+        sites.par_iter().zip(&m.templates).map(about).collect()
     }
 
     fn too_few(&self) -> Refused {
@@ -329,30 +366,58 @@ pub(super) fn sites<'m>(
     templates.iter().zip(masks).map(|(t, panel)| Site::new(t.local(pose), panel)).collect()
 }
 
-pub(super) fn about(measurer: &Measurer, centre: &Vector3<f64>, half_mm: f64) -> Option<Window> {
-    let camera = &measurer.calibration.rig.camera;
+pub(super) fn about(camera: &Lens, centre: &Vector3<f64>, half_mm: f64) -> Option<Window> {
     let p: Pixel = camera.project(centre)?;
     let half = half_mm * camera.fx / centre.z;
     Window::clipped(p.x - half, p.y - half, p.x + half, p.y + half, camera.width, camera.height)
 }
 
-/// The regions to decode.
-fn region_windows(m: &Measurer, pose: &CameraFromVehicle) -> Vec<Window> {
-    let reach = |t: &crate::vehicle::Template| t.panel.hole_mm() + body::REACH_MM + REGION_MARGIN_MM;
-    m.templates.iter().filter_map(|t| about(m, &t.local(pose).origin.xyz, reach(t))).collect()
+/// How far from a feature depth is wanted, mm: masks less a margin begin that much farther out.
+fn reach(t: &crate::vehicle::Template) -> f64 {
+    t.panel.hole_mm() + EROSION_MM.0 + body::REACH_MM + MARGIN_MM
 }
 
-/// The regions to find edges in.
-pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle) -> Vec<Window> {
-    let reach = |t: &crate::vehicle::Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
-    m.templates.iter().filter_map(|t| about(m, &t.local(pose).origin.xyz, reach(t) + 2.0 * CAPTURE_MM.0)).collect()
-}
-
-fn bounding(windows: &[Window]) -> Option<Window> {
-    windows.iter().copied().reduce(|a, b| {
+/// What of the thinned images depth is looked for in.
+fn depth_window(m: &Measurer, pose: &CameraFromVehicle) -> Option<Window> {
+    let region = |t| about(&m.depth_rig.camera, &crate::vehicle::Template::local(t, pose).origin.xyz, reach(t));
+    let regions = m.templates.iter().filter_map(region);
+    regions.reduce(|a, b| {
         let (x, y) = (a.x.min(b.x), a.y.min(b.y));
         let right = (a.x + a.width).max(b.x + b.width);
         let bottom = (a.y + a.height).max(b.y + b.height);
         Window { x, y, width: right - x, height: bottom - y }
     })
+}
+
+/// Which pixels of the window are worth decoding: the panel about the features of a vehicle near `pose`, and those that
+/// the calibration's health is told from.
+fn wanted(m: &Measurer, pose: &CameraFromVehicle, rays: &Rays) -> Vec<bool> {
+    let Window { width, height, .. } = rays.window;
+    let mut wanted: Vec<bool> =
+        (0..width * height).map(|i| fringe::is_sampled(&rays.window, i % width, i / width)).collect();
+    for (site, template) in sites(&m.templates, &m.grown_masks, pose).iter().zip(&m.templates) {
+        body::panel_pixels(rays, &m.depth_rig.camera, site, reach(template), |i, _, _| wanted[i] = true);
+    }
+    wanted
+}
+
+/// Whether every place about a feature of a vehicle at `pose` is, as the camera sees it, within `margin_mm` of where a
+/// vehicle at `guess` has it.
+fn within(pose: &CameraFromVehicle, guess: &CameraFromVehicle, m: &Measurer, margin_mm: f64) -> bool {
+    m.templates.iter().all(|t| {
+        let (local, plane) = (t.local(pose), OnPlane::new(&t.local(guess)));
+        (0..8).all(|k| {
+            let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_4).sin_cos();
+            let uv = Vector2::new(cos, sin) * reach(t);
+            let p = local.point(&uv.push(0.0)).xyz;
+            p.z > 0.0 && (plane.meet(&(p.xy() / p.z)) - uv).norm() <= margin_mm
+        })
+    })
+}
+
+/// The regions to find edges in.
+pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle) -> Vec<Window> {
+    let reach = |t: &crate::vehicle::Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
+    let camera = &m.calibration.rig.camera;
+    m.templates.iter().filter_map(|t| about(camera, &t.local(pose).origin.xyz, reach(t) + 2.0 * CAPTURE_MM.0)).collect()
 }

@@ -31,7 +31,7 @@ use crate::calibrate::{Calibration, ParameterCovariance, independent_errors};
 use crate::capture::{self, Capture};
 use crate::geometry::{Polynomial, Pose, frame};
 use crate::image::Window;
-use crate::optics::Pixel;
+use crate::optics::{Pixel, Rig};
 use crate::vehicle::{PanelMask, Template, VehicleFile};
 
 /// The design's working distance, mm: for what must be sized in pixels before depth is known.
@@ -58,6 +58,11 @@ pub struct Measurer {
     /// The panels' masks less a margin for a coarse pose, and for a good one.
     far_masks: Vec<PanelMask>,
     near_masks: Vec<PanelMask>,
+    /// The panels' masks and a margin, for a pose that is not known yet.
+    grown_masks: Vec<PanelMask>,
+    /// Depth is looked at in every so many-th column and row of the images, by a rig whose camera has no others.
+    every: usize,
+    depth_rig: Rig,
 }
 
 impl Measurer {
@@ -71,10 +76,26 @@ impl Measurer {
     pub(crate) fn with_templates(calibration: Calibration, vehicle: VehicleFile, templates: Vec<Template>) -> Self {
         let eroded = |mm: f64| templates.iter().map(|t| t.panel.eroded(mm)).collect();
         let (far_masks, near_masks) = (eroded(cycle::EROSION_MM.0), eroded(cycle::EROSION_MM.1));
+        let grown_masks = templates.iter().map(|t| t.panel.grown(cycle::MARGIN_MM)).collect();
+        let mut depth_rig = calibration.rig.clone();
+        let pixels_per_mm = depth_rig.camera.fx / TYPICAL_DISTANCE_MM;
+        let every = ((depth::LATTICE_MM * pixels_per_mm) as usize).max(1);
+        depth_rig.camera = depth_rig.camera.thinned(every);
         let surfaces =
             templates.iter().map(|t| t.surface.polynomial().expect("checked when it was read or made")).collect();
         let errors = calibration.covariance.as_deref().map_or_else(ParameterCovariance::zeros, independent_errors);
-        Self { calibration, errors: Box::new(errors), vehicle, templates, surfaces, far_masks, near_masks }
+        Self {
+            calibration,
+            errors: Box::new(errors),
+            vehicle,
+            templates,
+            surfaces,
+            far_masks,
+            near_masks,
+            grown_masks,
+            every,
+            depth_rig,
+        }
     }
 
     /// Begins a vehicle with its red image, whose size is the calibration's. `capture` says what the images are.

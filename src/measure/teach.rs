@@ -2,7 +2,7 @@
 //! In:  a capture, the calibration, the features file with its pixels. Out: the model with its templates.
 //! Not here: files; moving the clicks. What was clicked is where the ray meets the fitted surface, and stays so.
 
-use super::body::{self, Patch, Shape, Site};
+use super::body::{self, Patch, Samples, Shape, Site};
 use super::cycle::EROSION_MM;
 use super::depth::{BodyDepth, Decoded, red_noise};
 use super::edges::{self, EdgeRay};
@@ -242,9 +242,15 @@ fn place(
             let mask = mask_about(camera, panel, |uv| surface_point(&body.coarse, &local, uv)).eroded(EROSION_MM.1);
             let site = Site::new(local, &mask);
             let at = judging_points(&mask, site.hole_mm);
-            let patch = body::patch(&body.map, camera, &site, &body.coarse, &Shape::Smooth(&at)).map_err(|code| {
-                refusal(feature, code, "the surface about it cannot be measured: choose a capture without glare there")
-            })?;
+            let patch = Samples::new(&body.map, camera, &site, site.hole_mm + body::REACH_MM, &body.coarse)
+                .patch(&site, &Shape::Smooth(&at))
+                .map_err(|code| {
+                    refusal(
+                        feature,
+                        code,
+                        "the surface about it cannot be measured: choose a capture without glare there",
+                    )
+                })?;
             Ok::<_, TeachError>((mask, patch))
         };
         let local = frame_at(*point, &body.coarse);

@@ -166,6 +166,17 @@ impl PanelMask {
         if first.is_empty() { 0.0 } else { crate::geometry::robust::median(&mut first) }
     }
 
+    /// The mask with all that is within `mm` of it along u and v; less at the grid's border.
+    pub fn grown(&self, mm: f64) -> Self {
+        let steps = (mm / self.cell_mm).ceil() as i32;
+        let along = |mask: &Self, axis: Vector2<f64>| {
+            Self::new(self.cell_mm, self.half, |c| {
+                (-steps..=steps).any(|k| mask.contains(&(c + axis * (f64::from(k) * self.cell_mm))))
+            })
+        };
+        along(&along(self, Vector2::x()), Vector2::y())
+    }
+
     /// The mask less all that is within `mm` of what is not panel; the grid's border does not count.
     pub fn eroded(&self, mm: f64) -> Self {
         let steps = (mm / self.cell_mm).ceil() as i32;
