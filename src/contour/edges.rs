@@ -7,7 +7,6 @@
 use crate::image::{Image, Window};
 use crate::optics::Pixel;
 use nalgebra::Vector2;
-use std::collections::HashMap;
 use std::f64::consts::{PI, SQRT_2};
 
 /// A point of an edge.
@@ -115,13 +114,18 @@ pub fn find_edges(
     let kernels = Kernels::new(filter.sigma);
     let (of_gradient, of_difference) = kernels.noise();
     let gradient = gradient(image, window, &kernels);
-    let strength: Vec<f32> = gradient.iter().map(Vector2::norm).collect();
+    let strength: Vec<f32> = gradient.iter().map(|g| (g.x * g.x + g.y * g.y).sqrt()).collect();
     let width = window.width;
-    let mut found: HashMap<usize, (Edgel, bool)> = HashMap::new(); // by pixel; whether an edge may begin here
+    const NONE: u32 = u32::MAX;
+    let mut found: Vec<(Edgel, bool)> = Vec::new(); // whether it is kept: an edge may begin here, or goes on
+    let mut at = vec![NONE; strength.len()]; // by pixel: which of them
     let mut stack = Vec::new();
     for y in 1..window.height.saturating_sub(1) {
         for x in 1..width.saturating_sub(1) {
             let i = y * width + x;
+            if f64::from(strength[i]) <= filter.keep.1 {
+                continue; // most pixels: no noise need be known
+            }
             let pixel_variance = variance(f64::from(image.at(window.x + x, window.y + y)));
             let noise = (pixel_variance * of_gradient).sqrt();
             let exceeds = |(sigmas, slope): (f64, f64)| f64::from(strength[i]) > (sigmas * noise).max(slope);
@@ -136,30 +140,20 @@ pub fn find_edges(
                 strength: f64::from(strength[i]),
                 variance: pixel_variance * of_difference / (4.0 * curvature * curvature) / normal.amax().powi(2),
             };
-            found.insert(i, (edgel, false));
+            at[i] = found.len() as u32;
+            found.push((edgel, false));
             if exceeds(filter.start) {
                 stack.push(i);
             }
         }
     }
     while let Some(i) = stack.pop() {
-        if let Some((_, kept)) = found.get_mut(&i).filter(|(_, kept)| !kept) {
-            *kept = true;
-            stack.extend([
-                i - width - 1,
-                i - width,
-                i - width + 1,
-                i - 1,
-                i + 1,
-                i + width - 1,
-                i + width,
-                i + width + 1,
-            ]);
-        }
+        let Some((_, kept)) = found.get_mut(at[i] as usize).filter(|(_, kept)| !kept) else { continue };
+        *kept = true;
+        let rows = [i - width, i, i + width];
+        stack.extend(rows.iter().flat_map(|i| i - 1..=i + 1).filter(|i| at[*i] != NONE));
     }
-    let mut kept: Vec<_> = found.into_iter().filter(|(_, (_, kept))| *kept).collect();
-    kept.sort_unstable_by_key(|(i, _)| *i);
-    kept.into_iter().map(|(_, (edgel, _))| edgel).collect()
+    found.into_iter().filter(|(_, kept)| *kept).map(|(edgel, _)| edgel).collect()
 }
 
 /// The offset (px) from pixel `i` to the maximum of `strength` along the gradient `g`, and the curvature there
@@ -258,20 +252,27 @@ fn crossing(image: &Image<f32>, e: &Edgel, reach: f64, body: f64, variance: impl
 
 /// Catmull–Rom interpolation; `None` within two pixels of the border.
 fn cubic(image: &Image<f32>, p: &Pixel) -> Option<f64> {
-    let (x, y) = (p.x.floor(), p.y.floor());
-    if !(x >= 1.0 && y >= 1.0 && x + 2.0 < image.width as f64 && y + 2.0 < image.height as f64) {
+    let inside = |v: f64, n: usize| v >= 1.0 && v < n as f64; // a NaN is not
+    if !(inside(p.x, image.width) && inside(p.y, image.height)) {
+        return None;
+    }
+    let (column, row) = (p.x as usize, p.y as usize);
+    if column + 2 >= image.width || row + 2 >= image.height {
         return None;
     }
     let weights = |t: f64| {
         let (t2, t3) = (t * t, t * t * t);
         [-t + 2.0 * t2 - t3, 2.0 - 5.0 * t2 + 3.0 * t3, t + 4.0 * t2 - 3.0 * t3, t3 - t2].map(|w| 0.5 * w)
     };
-    let (across, down) = (weights(p.x - x), weights(p.y - y));
-    let row = |j: usize| {
-        let row = &image.row(y as usize + j - 1)[x as usize - 1..x as usize + 3];
-        row.iter().zip(across).map(|(v, w)| f64::from(*v) * w).sum::<f64>()
-    };
-    Some(down.iter().enumerate().map(|(j, w)| w * row(j)).sum())
+    let (across, down) = (weights(p.x - column as f64), weights(p.y - row as f64));
+    let first = (row - 1) * image.width + column - 1;
+    let around = &image.pixels[first..first + 3 * image.width + 4];
+    let mut sum = 0.0;
+    for (row, w) in around.chunks(image.width).zip(down) {
+        let [a, b, c, d] = [0, 1, 2, 3].map(|k| f64::from(row[k]));
+        sum += w * (a * across[0] + b * across[1] + c * across[2] + d * across[3]);
+    }
+    Some(sum)
 }
 
 /// The normal distribution function and its density at `u`, to 1.5e-7.
