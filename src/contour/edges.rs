@@ -205,29 +205,63 @@ pub fn cross_level(
     body: impl Fn(&Pixel) -> f64,
     variance: impl Fn(f64) -> f64,
 ) -> Vec<Edgel> {
-    edgels.iter().filter_map(|e| crossing(image, e, reach, body(&e.position), &variance)).collect()
+    let mut profile = Profile::new(reach);
+    edgels.iter().filter_map(|e| crossing(image, e, &mut profile, body(&e.position), &variance)).collect()
 }
 
-fn crossing(image: &Image<f32>, e: &Edgel, reach: f64, body: f64, variance: impl Fn(f64) -> f64) -> Option<Edgel> {
-    let tangent = Vector2::new(-e.normal.y, e.normal.x) * SPACING;
-    let profile = |d: f64| {
-        let mut sum = 0.0;
-        for k in -2..=2 {
-            sum += cubic(image, &(e.position + e.normal * d + tangent * f64::from(k)))?;
+/// The grey levels across one edge, and what is the same of all of them.
+struct Profile {
+    reach: f64,
+    /// Smoothing, of sum 1.
+    kernel: Vec<f32>,
+    raw: Vec<f32>,
+    values: Vec<f64>,
+}
+
+impl Profile {
+    fn new(reach: f64) -> Self {
+        let tail = (3.0 * SMOOTHING / STEP) as usize;
+        let taps = (0..=2 * tail).map(|k| (-0.5 * ((k as f64 - tail as f64) * STEP / SMOOTHING).powi(2)).exp());
+        let gain: f64 = taps.clone().sum();
+        Self { reach, kernel: taps.map(|v| (v / gain) as f32).collect(), raw: Vec::new(), values: Vec::new() }
+    }
+
+    /// Steps to each side of the edge.
+    fn zero(&self) -> usize {
+        (self.reach / STEP).ceil() as usize
+    }
+
+    /// Takes the smoothed profile across `e`; `None` where it leaves the image.
+    fn take(&mut self, image: &Image<f32>, e: &Edgel) -> Option<()> {
+        let tangent = Vector2::new(-e.normal.y, e.normal.x) * SPACING;
+        let (zero, tail) = (self.zero(), self.kernel.len() / 2);
+        self.raw.clear();
+        for i in 0..=2 * (zero + tail) {
+            let at = e.position + e.normal * ((i as f64 - (zero + tail) as f64) * STEP);
+            let mut sum = 0.0;
+            for k in -2..=2 {
+                sum += cubic(image, &(at + tangent * f64::from(k)))?;
+            }
+            self.raw.push(sum / 5.0);
         }
-        Some(sum / 5.0)
-    };
-    let margin = 3.0 * SMOOTHING;
-    let zero = (reach / STEP).ceil() as usize;
+        let smooth = |around: &[f32]| around.iter().zip(&self.kernel).map(|(v, k)| f64::from(v * k)).sum::<f64>();
+        self.values.clear();
+        self.values.extend(self.raw.windows(self.kernel.len()).map(smooth));
+        Some(())
+    }
+}
+
+fn crossing(
+    image: &Image<f32>,
+    e: &Edgel,
+    profile: &mut Profile,
+    body: f64,
+    variance: impl Fn(f64) -> f64,
+) -> Option<Edgel> {
+    profile.take(image, e)?;
+    let (reach, zero, values) = (profile.reach, profile.zero(), &profile.values);
     let n = 2 * zero;
     let place = |i: usize| (i as f64 - zero as f64) * STEP;
-    let tail = (margin / STEP) as usize;
-    let raw: Vec<f64> = (0..=n + 2 * tail).map(|i| profile(place(i) - tail as f64 * STEP)).collect::<Option<_>>()?;
-    let kernel: Vec<f64> =
-        (0..=2 * tail).map(|k| (-0.5 * ((k as f64 - tail as f64) * STEP / SMOOTHING).powi(2)).exp()).collect();
-    let gain: f64 = kernel.iter().sum();
-    let smooth = |around: &[f64]| around.iter().zip(&kernel).map(|(v, k)| v * k).sum::<f64>() / gain;
-    let values: Vec<f64> = raw.windows(kernel.len()).map(smooth).collect();
     // the mean about the darkest place: the least of many noisy values would be too dark
     let darkest = (0..=zero).min_by(|i, j| values[*i].total_cmp(&values[*j]))?;
     let about = &values[darkest.saturating_sub(2)..=(darkest + 2).min(zero)];
@@ -251,7 +285,7 @@ fn crossing(image: &Image<f32>, e: &Edgel, reach: f64, body: f64, variance: impl
 }
 
 /// Catmull–Rom interpolation; `None` within two pixels of the border.
-fn cubic(image: &Image<f32>, p: &Pixel) -> Option<f64> {
+fn cubic(image: &Image<f32>, p: &Pixel) -> Option<f32> {
     let inside = |v: f64, n: usize| v >= 1.0 && v < n as f64; // a NaN is not
     if !(inside(p.x, image.width) && inside(p.y, image.height)) {
         return None;
@@ -261,18 +295,26 @@ fn cubic(image: &Image<f32>, p: &Pixel) -> Option<f64> {
         return None;
     }
     let weights = |t: f64| {
+        let t = t as f32;
         let (t2, t3) = (t * t, t * t * t);
-        [-t + 2.0 * t2 - t3, 2.0 - 5.0 * t2 + 3.0 * t3, t + 4.0 * t2 - 3.0 * t3, t3 - t2].map(|w| 0.5 * w)
+        [
+            0.5 * (-t + 2.0 * t2 - t3),
+            0.5 * (2.0 - 5.0 * t2 + 3.0 * t3),
+            0.5 * (t + 4.0 * t2 - 3.0 * t3),
+            0.5 * (t3 - t2),
+        ]
     };
     let (across, down) = (weights(p.x - column as f64), weights(p.y - row as f64));
     let first = (row - 1) * image.width + column - 1;
     let around = &image.pixels[first..first + 3 * image.width + 4];
-    let mut sum = 0.0;
-    for (row, w) in around.chunks(image.width).zip(down) {
-        let [a, b, c, d] = [0, 1, 2, 3].map(|k| f64::from(row[k]));
-        sum += w * (a * across[0] + b * across[1] + c * across[2] + d * across[3]);
+    let mut columns = [0f32; 4];
+    for (j, w) in down.into_iter().enumerate() {
+        let row: &[f32; 4] = around[j * image.width..].first_chunk().expect("four rows of at least four");
+        for (sum, v) in columns.iter_mut().zip(row) {
+            *sum += w * v;
+        }
     }
-    Some(sum)
+    Some(columns.iter().zip(across).map(|(v, w)| v * w).sum())
 }
 
 /// The normal distribution function and its density at `u`, to 1.5e-7.

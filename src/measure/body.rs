@@ -121,7 +121,11 @@ impl CellSums {
 }
 
 fn cell_index(uv: &Vector2<f64>, side: f64) -> [i32; 2] {
-    [(uv.x / side).floor() as i32, (uv.y / side).floor() as i32]
+    let floor = |v: f64| {
+        let cut = v as i32; // towards 0; a call of `floor` per pixel is what some processors have instead
+        cut - i32::from(v < f64::from(cut))
+    };
+    [floor(uv.x / side), floor(uv.y / side)]
 }
 
 /// What the pixels of a site's panel have, before there is depth. Every fifth of them is asked.

@@ -3,8 +3,8 @@
 //! where stages end. No state from one vehicle to the next.
 
 use super::body::{self, OnPlane, Samples, Shape, Site};
-use super::depth::{BodyDepth, Decoded, red_noise};
-use super::edges;
+use super::depth::{BodyDepth, Decoded, red_noise, stated_red_noise};
+use super::edges::{EdgeRay, edge_rays};
 use super::judge::{self, Evidence, Judged, Refused};
 use super::light::{Light, saturated_share};
 use super::locate::{Located, locate};
@@ -42,6 +42,8 @@ pub enum Stage {
 pub(super) const MARGIN_MM: f64 = 10.0;
 /// What of that a pose from depth may use up; the passes that follow move it no farther than the rest.
 const MARGIN_USED_MM: f64 = 7.0;
+/// Edges are found this much wider before there is depth, mm; and once more where that was too little.
+const EDGE_MARGIN_MM: f64 = 5.0;
 /// Passes over all features; the pose is still by then.
 const MAX_PASSES: usize = 6;
 /// Rotation (rad) and translation (mm) below which a pass has changed nothing.
@@ -70,6 +72,8 @@ pub struct Cycle<'a> {
     pub(super) regions: Vec<Result<Region, Code>>,
     pub(super) first_pose: Option<CameraFromVehicle>,
     pub(super) light: Light,
+    /// Where edges were looked for before there was depth, and the edges; nowhere where their noise was not known.
+    early_edges: Option<(Vec<Window>, Vec<Vec<EdgeRay>>)>,
     /// Of the pixels that depth is looked for in.
     pub(super) rays: Rays,
     pub(super) fringes: Fringes,
@@ -94,8 +98,26 @@ impl<'a> Cycle<'a> {
             .map(|t| first_pose.map_or(0.0, |pose| saturated_share(red, white, camera, &t.local(&pose).origin.xyz)))
             .collect();
         let light = Light::new(&as_f32, capture.camera.black_level);
+        let early_edges = first_pose.and_then(|pose| {
+            let noise = stated_red_noise(capture)?;
+            let windows = contour_windows(measurer, &pose, EDGE_MARGIN_MM);
+            let edges = edge_rays(&as_f32, &windows, &noise, camera);
+            Some((windows, edges))
+        });
         let fringes = Fringes::as_they_come(capture, window, measurer.every, wanted);
-        Self { measurer, capture, red: as_f32, red_saturated, regions, first_pose, light, rays, fringes, moved: false }
+        Self {
+            measurer,
+            capture,
+            red: as_f32,
+            red_saturated,
+            regions,
+            first_pose,
+            light,
+            early_edges,
+            rays,
+            fringes,
+            moved: false,
+        }
     }
 
     /// Takes image `step` of fringe set `set`, in any order.
@@ -208,9 +230,7 @@ impl<'c> Run<'c, '_> {
         }
         ended(Stage::Surface);
 
-        let (plain, level) = edges::without_glints(&c.red);
-        let windows = contour_windows(m, &pose);
-        let rays = edges::edge_rays(&plain, &level, &windows, &red_noise, &rig.camera);
+        let rays = self.edges(&contour_windows(m, &pose, 0.0), &red_noise);
         let mut samples = self.samples(&body, &pose);
         let mut sampled_at = pose;
         for pass in 0..MAX_PASSES {
@@ -283,6 +303,27 @@ impl<'c> Run<'c, '_> {
         Ok(body)
     }
 
+    /// The edges in `windows`; those in two of them twice.
+    fn edges(&self, windows: &[Window], noise: &NoiseLaw) -> Vec<EdgeRay> {
+        let c = self.cycle;
+        let holds = |(a, b): (&Window, &Window)| {
+            a.x <= b.x && a.y <= b.y && a.x + a.width >= b.x + b.width && a.y + a.height >= b.y + b.height
+        };
+        let early = c.early_edges.as_ref().filter(|(early, _)| early.len() == windows.len());
+        let Some((_, edges)) = early.filter(|(early, _)| early.iter().zip(windows).all(holds)) else {
+            return edge_rays(&c.red, windows, noise, &c.measurer.calibration.rig.camera).concat();
+        };
+        let inside = |(edges, w): (&Vec<EdgeRay>, &Window)| {
+            let (from, to) = (Pixel::new(w.x as f64, w.y as f64), Pixel::new(w.width as f64, w.height as f64));
+            let inside = move |e: &&EdgeRay| {
+                let p = e.edgel.position - from;
+                p.x > 0.5 && p.y > 0.5 && p.x < to.x - 1.5 && p.y < to.y - 1.5
+            };
+            edges.iter().filter(inside).copied().collect::<Vec<_>>()
+        };
+        edges.iter().zip(windows).flat_map(inside).collect()
+    }
+
     /// The pixels about each feature of a vehicle that stands near `pose`.
     fn samples(&self, body: &BodyDepth<'_>, pose: &CameraFromVehicle) -> Vec<Samples> {
         let m = self.cycle.measurer;
@@ -308,7 +349,8 @@ impl<'c> Run<'c, '_> {
             _ => Code::TooFewFeatures,
         };
         let contours = codes.iter().all(|c| (401..=406).contains(&c.number()));
-        if let Some(blur) = self.cycle.light.blur_px.filter(|blur| contours && *blur > MAX_BLUR_PX) {
+        let blur = || self.cycle.light.blur_px(&self.cycle.red).filter(|blur| *blur > MAX_BLUR_PX);
+        if let Some(blur) = contours.then(blur).flatten() {
             let detail = format!(
                 "Its sharpest edges are blurred by {blur:.1} px, allowed {MAX_BLUR_PX} px. {}.",
                 reasons.join(", ")
@@ -415,9 +457,10 @@ fn within(pose: &CameraFromVehicle, guess: &CameraFromVehicle, m: &Measurer, mar
     })
 }
 
-/// The regions to find edges in.
-pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle) -> Vec<Window> {
+/// The regions to find edges in, `margin_mm` wider than a vehicle at `pose` needs.
+pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle, margin_mm: f64) -> Vec<Window> {
     let reach = |t: &crate::vehicle::Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
+    let half = |t| reach(t) + 2.0 * CAPTURE_MM.0 + margin_mm;
     let camera = &m.calibration.rig.camera;
-    m.templates.iter().filter_map(|t| about(camera, &t.local(pose).origin.xyz, reach(t) + 2.0 * CAPTURE_MM.0)).collect()
+    m.templates.iter().filter_map(|t| about(camera, &t.local(pose).origin.xyz, half(t))).collect()
 }

@@ -51,11 +51,20 @@ impl Decoded {
     }
 }
 
+/// The noise law of the red image where it is stated.
+pub(super) fn stated_red_noise(capture: &Capture) -> Option<NoiseLaw> {
+    let (black, read) = (capture.camera.black_level, capture.camera.read_noise_e.unwrap_or(0.0));
+    capture.images.red_gain_dn_per_e.map(|gain| NoiseLaw::from_sensor(gain, read, black))
+}
+
 /// The noise law of the red image: stated, or else that of the finest fringes.
 pub(super) fn red_noise(capture: &Capture, fringes: &[NoiseLaw]) -> NoiseLaw {
     let (black, read) = (capture.camera.black_level, capture.camera.read_noise_e.unwrap_or(0.0));
-    let stated = capture.images.red_gain_dn_per_e.map(|gain| NoiseLaw::from_sensor(gain, read, black));
-    stated.or_else(|| fringes.last().copied()).unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, read, black))
+    stated_red_noise(capture).or_else(|| fringes.last().copied()).unwrap_or(NoiseLaw::from_sensor(
+        TYPICAL_GAIN,
+        read,
+        black,
+    ))
 }
 
 /// Depth of a window: decoded, triangulated, and once a coarse surface is known, with the fringes ordered by it

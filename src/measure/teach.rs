@@ -124,7 +124,8 @@ pub fn teach(
     let Decoded { mut coordinates, noise, .. } = Decoded::new(&fringes, capture)?;
     let rays = Rays::new(camera, fringes.window);
     let clicks = features.clicks()?;
-    let (plain, level) = edges::without_glints(&raw);
+    let whole = Window::whole(red.width, red.height);
+    let (plain, level) = edges::Levels::new(&raw).without_glints(&raw, whole);
     // a rounded corner's panel begins some mm from the sharp corner that was clicked
     let reach = 8.0 * camera.fx / TYPICAL_DISTANCE_MM;
     let panel = panel_mask(&plain, &level, &clicks, reach).ok_or(TeachError::Body {
@@ -173,8 +174,7 @@ pub fn teach(
     check_side(features, &placed, &pose)?;
 
     let red_noise = red_noise(capture, &noise);
-    let all = [Window::whole(red.width, red.height)];
-    let edge_rays = edges::edge_rays(&plain, &level, &all, &red_noise, camera);
+    let edge_rays = edges::edge_rays(&raw, &[whole], &red_noise, camera).concat();
     let mut model = features.clone();
     let mut templates = Vec::new();
     for (k, feature) in features.features.iter().enumerate() {

@@ -144,7 +144,8 @@ impl PanelMask {
     /// Whether (u, v) mm lies on the panel; outside the grid it does not.
     pub fn contains(&self, uv: &Vector2<f64>) -> bool {
         let (half, side) = (f64::from(self.half), 2 * self.half as usize + 1);
-        let (i, j) = ((uv.x / self.cell_mm).round() + half, (uv.y / self.cell_mm).round() + half);
+        // rounded by cutting off, as a call of `round` per pixel is what some processors have instead
+        let (i, j) = (uv.x / self.cell_mm + half + 0.5, uv.y / self.cell_mm + half + 0.5);
         if !(0.0..side as f64).contains(&i) || !(0.0..side as f64).contains(&j) {
             return false;
         }
