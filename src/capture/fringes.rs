@@ -3,8 +3,8 @@
 
 use super::Capture;
 use crate::fringe::{
-    self, Accumulator, Axis, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, PhaseMap, difference_samples,
-    residual_samples,
+    self, Accumulator, Axis, Coordinate, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, Phase, PhaseMap,
+    difference_samples, residual_samples,
 };
 use crate::image::{Image, Window};
 
@@ -32,6 +32,8 @@ pub struct Fringes {
     wanted: Vec<bool>,
     /// What was decoded so, per set.
     decoded: Vec<Option<PhaseMap>>,
+    /// Buffers for what will be.
+    spare: Vec<Vec<Phase>>,
 }
 
 impl Fringes {
@@ -56,15 +58,63 @@ impl Fringes {
             black,
             wanted: Vec::new(),
             decoded: vec![None; capture.fringes.len()],
+            spare: Vec::new(),
         }
     }
 
     /// Of all sets of `capture`, where `window` is of what is left of the images when only every `every`-th column and
     /// row is looked at. Sets are decoded when their last image comes, where `wanted` is true, row by row.
-    pub fn as_they_come(capture: &Capture, window: Window, every: usize, wanted: Vec<bool>) -> Self {
-        let mut new = Self::new(capture, window, None);
-        new.sums = new.sums.into_iter().map(|sums| sums.thinned(every)).collect();
-        Self { every, wanted, ..new }
+    /// The buffers of `spare` are used again.
+    pub fn as_they_come(spare: Self, capture: &Capture, window: Window, every: usize, wanted: Vec<bool>) -> Self {
+        let mut new = Self::new(capture, Window::whole(0, 0), None);
+        (new.window, new.every, new.wanted) = (window, every, wanted);
+        let mut sums = spare.sums.into_iter();
+        for own in &mut new.sums {
+            if let Some(mut reused) = sums.next() {
+                reused.turn_to(*own.set(), new.white_level).expect("the set of an accumulator");
+                *own = reused;
+            }
+            own.thin(every);
+            own.restart(&[window]);
+        }
+        new.spare = spare.spare;
+        new.give_back(spare.decoded.into_iter().flatten());
+        new
+    }
+
+    /// Nothing, of no capture: what a first capture begins with.
+    pub fn none() -> Self {
+        Self {
+            window: Window::whole(0, 0),
+            every: 1,
+            sums: Vec::new(),
+            differences: Vec::new(),
+            white_level: u16::MAX,
+            only: None,
+            known: Vec::new(),
+            black: 0.0,
+            wanted: Vec::new(),
+            decoded: Vec::new(),
+            spare: Vec::new(),
+        }
+    }
+
+    /// Takes phases that are no longer needed, for their buffers.
+    pub fn give_back(&mut self, phases: impl IntoIterator<Item = PhaseMap>) {
+        self.spare.extend(phases.into_iter().map(|map| map.pixels));
+    }
+
+    /// Gives up the list of what was wanted, for its buffer.
+    pub fn take_wanted(&mut self) -> Vec<bool> {
+        std::mem::take(&mut self.wanted)
+    }
+
+    fn decode(&mut self, set: usize, noise: &NoiseLaw) -> Result<PhaseMap, fringe::Error> {
+        let sums = &self.sums[set];
+        let pixels = self.spare.pop().unwrap_or_default();
+        let mut map = PhaseMap { set: *sums.set(), window: self.window, pixels };
+        fringe::decode_where(sums, 0, noise, &Limits::DEFAULT, &self.wanted, &mut map)?;
+        Ok(map)
     }
 
     /// Takes image `step` of set `set`, in any order.
@@ -78,9 +128,7 @@ impl Fringes {
         if !self.wanted.is_empty() && self.sums[set].is_complete() {
             self.known[set] = self.known[set].or_else(|| self.own(set));
             if let Some(noise) = self.known[set] {
-                let mut map = PhaseMap { set: pattern, window: self.window, pixels: Vec::new() };
-                fringe::decode_where(&self.sums[set], 0, &noise, &Limits::DEFAULT, &self.wanted, &mut map)?;
-                self.decoded[set] = Some(map);
+                self.decoded[set] = Some(self.decode(set, &noise)?);
             }
         }
         Ok(())
@@ -119,18 +167,11 @@ impl Fringes {
 
     /// The wrapped phases of every set where they were wanted; what was decoded as it came is moved out.
     pub fn take_phases(&mut self, noise: &[NoiseLaw]) -> Result<Vec<PhaseMap>, fringe::Error> {
-        let mut maps = Vec::with_capacity(self.sums.len());
-        for ((sums, noise), decoded) in self.sums.iter().zip(noise).zip(&mut self.decoded) {
-            maps.push(match decoded.take() {
-                Some(map) => map,
-                None => {
-                    let mut map = PhaseMap { set: *sums.set(), window: self.window, pixels: Vec::new() };
-                    fringe::decode_where(sums, 0, noise, &Limits::DEFAULT, &self.wanted, &mut map)?;
-                    map
-                }
-            });
-        }
-        Ok(maps)
+        let phases = |k: usize| match self.decoded[k].take() {
+            Some(map) => Ok(map),
+            None => self.decode(k, &noise[k]),
+        };
+        (0..noise.len()).map(phases).collect()
     }
 
     /// Where phases were wanted, row by row; empty: everywhere.
@@ -146,9 +187,20 @@ pub fn coordinates(
     axis: Axis,
     limits: &Limits,
 ) -> Result<CoordinateMap, fringe::Error> {
+    coordinates_reusing(Vec::new(), capture, phases, axis, limits)
+}
+
+/// As [`coordinates`], in the buffer of `pixels`.
+pub fn coordinates_reusing(
+    pixels: Vec<Coordinate>,
+    capture: &Capture,
+    phases: &[PhaseMap],
+    axis: Axis,
+    limits: &Limits,
+) -> Result<CoordinateMap, fringe::Error> {
     let extent = match axis {
         Axis::Column => capture.projector.width,
         Axis::Row => capture.projector.height,
     };
-    fringe::unwrap(phases, axis, extent, limits)
+    fringe::unwrap_reusing(pixels, phases, axis, extent, limits)
 }

@@ -8,7 +8,7 @@ pub use record::{Devices, Plan, RecordError, SETS, record};
 
 mod fringes;
 
-pub use fringes::{Fringes, TYPICAL_GAIN, coordinates};
+pub use fringes::{Fringes, TYPICAL_GAIN, coordinates, coordinates_reusing};
 
 use crate::document::{self, Check};
 use crate::fringe::Axis;

@@ -40,9 +40,15 @@ impl Accumulator {
 
     /// Looks at every `every`-th column and row of the images only, from the first on; windows are of the image that
     /// is left. For a camera much finer than the surface needs.
-    pub fn thinned(mut self, every: usize) -> Self {
+    pub fn thin(&mut self, every: usize) {
         self.every = every.max(1);
-        self
+    }
+
+    /// Empties the sums and turns to another `set` and `white_level`, reusing the buffers. Errors as [`Self::new`].
+    pub fn turn_to(&mut self, set: PatternSet, white_level: u16) -> Result<(), Error> {
+        set.check()?;
+        (self.set, self.white_level, self.seen) = (set, white_level, 0);
+        Ok(())
     }
 
     /// Empties the sums and turns to `windows`, reusing the buffers.
@@ -55,9 +61,8 @@ impl Accumulator {
             }
             let Sums { window: w, sums, saturated } = &mut self.windows[i];
             *w = window;
-            sums.clear();
+            // what is left in them the first image overwrites
             sums.resize(window.width * window.height, [0.0; 4]);
-            saturated.clear();
             saturated.resize(window.width * window.height, 0);
         }
     }
@@ -74,6 +79,7 @@ impl Accumulator {
         if !self.windows.iter().all(|s| inside(&s.window)) {
             return Err(Error::ImageSize { width: image.width, height: image.height });
         }
+        let first = self.seen == 0;
         self.seen |= 1 << step;
         let (sin, cos) = self.set.shift(step).sin_cos();
         let (sin, cos, white) = (sin as f32, cos as f32, self.white_level);
@@ -83,6 +89,9 @@ impl Accumulator {
                 let samples = image.row((window.y + y) * every)[window.x * every..].chunks(every);
                 for ((samples, sums), saturated) in samples.zip(sums).zip(saturated) {
                     let sample = samples[0];
+                    if first {
+                        (*sums, *saturated) = ([0.0; 4], 0);
+                    }
                     let over = sample >= white;
                     let i = if over { 0.0 } else { f32::from(sample) };
                     *saturated |= u16::from(over) << step;
@@ -140,7 +149,8 @@ mod tests {
         let whole = Image { width: 8, height: 7, pixels: (0..56).collect() };
         let pixels = (0..12).map(|i| whole.at(i % 4 * 2, i / 4 * 2)).collect();
         let left = Image { width: 4, height: 4, pixels: [pixels, vec![48, 50, 52, 54]].concat() };
-        let mut thinned = Accumulator::new(set, 50, &[window]).expect("legal").thinned(2);
+        let mut thinned = Accumulator::new(set, 50, &[window]).expect("legal");
+        thinned.thin(2);
         let mut plain = Accumulator::new(set, 50, &[window]).expect("legal");
         for step in 0..3 {
             thinned.add(step, &whole).expect("fits");

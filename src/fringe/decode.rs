@@ -185,7 +185,7 @@ impl Fits {
         let nothing = Phase { saturated: saturated != 0, state: State::Saturated, ..Phase::NONE };
         let Some(fit) = self.fit(saturated) else { return nothing };
         let Sine { x, residual } = fit.solve(sums);
-        let (level, modulation) = (x[0], x[1].hypot(x[2]));
+        let (level, modulation) = (x[0], (x[1] * x[1] + x[2] * x[2]).sqrt()); // nothing here overflows: no `hypot`
         let seen = Phase { level: level as f32, modulation: modulation as f32, ..nothing };
 
         let one_sample = noise.variance(level);

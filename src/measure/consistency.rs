@@ -13,6 +13,7 @@ use crate::code::Code;
 use crate::fringe::{CoordinateMap, EpipolarCell, State};
 use crate::geometry::robust;
 use nalgebra::Matrix6;
+use rayon::prelude::*;
 
 /// Share of pixels of the panels whose fringe images may contradict each other.
 const MAX_CONTRADICTORY: f64 = 0.3;
@@ -26,13 +27,16 @@ impl Run<'_, '_> {
     /// they are not, what passes the checks by chance is wrong too.
     pub(super) fn contradictory(&self, coordinates: &CoordinateMap, sites: &[Site<'_>]) -> Option<Refused> {
         let camera = &self.cycle.measurer.depth_rig.camera;
-        let (mut usable, mut against) = (0usize, 0usize);
-        for site in sites {
-            body::panel_states(coordinates, &self.cycle.rays, camera, site, |state| {
+        let count = |site: &Site<'_>| {
+            let (mut usable, mut against) = (0usize, 0usize);
+            body::panel_states(coordinates, &self.cycle.buffers.rays, camera, site, |state| {
                 usable += usize::from(matches!(state, State::Valid | State::NotSine | State::WrongOrder));
                 against += usize::from(matches!(state, State::NotSine | State::WrongOrder));
             });
-        }
+            (usable, against)
+        };
+        let sum = |a: (usize, usize), b: (usize, usize)| (a.0 + b.0, a.1 + b.1);
+        let (usable, against) = sites.par_iter().map(count).reduce(Default::default, sum);
         let share = against as f64 / usable.max(1) as f64;
         (share > MAX_CONTRADICTORY).then(|| {
             let detail = format!(

@@ -12,7 +12,7 @@ use super::regions::{self, Region};
 use super::{Drawing, Measurement, Measurer};
 use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
-use crate::fringe::{self, Axis, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
+use crate::fringe::{self, Axis, Coordinate, Depth, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
 use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
 use crate::image::{Image, Window};
 use crate::optics::{Lens, Pixel};
@@ -63,66 +63,90 @@ const CONTRADICTING: f64 = 30.0;
 /// Share of a region's pixels that may be saturated in the red image.
 const MAX_SATURATED: f64 = 0.25;
 
+/// What is as large as an image or its regions and is used again for the next vehicle.
+pub(super) struct Buffers {
+    red: Image<f32>,
+    /// Of the pixels that depth is looked for in.
+    pub(super) rays: Rays,
+    wanted: Vec<bool>,
+    fringes: Fringes,
+    coordinates: Vec<Coordinate>,
+    depths: Vec<Depth>,
+}
+
+impl Default for Buffers {
+    fn default() -> Self {
+        Self {
+            red: Image::filled(0, 0, 0.0),
+            rays: Rays::empty(),
+            wanted: Vec::new(),
+            fringes: Fringes::none(),
+            coordinates: Vec::new(),
+            depths: Vec::new(),
+        }
+    }
+}
+
 /// A measurement in progress.
 pub struct Cycle<'a> {
     pub(super) measurer: &'a Measurer,
     pub(super) capture: &'a Capture,
-    pub(super) red: Image<f32>,
+    pub(super) buffers: Buffers,
     pub(super) red_saturated: Vec<f64>,
     pub(super) regions: Vec<Result<Region, Code>>,
     pub(super) first_pose: Option<CameraFromVehicle>,
     pub(super) light: Light,
     /// Where edges were looked for before there was depth, and the edges; nowhere where their noise was not known.
     early_edges: Option<(Vec<Window>, Vec<Vec<EdgeRay>>)>,
-    /// Of the pixels that depth is looked for in.
-    pub(super) rays: Rays,
-    pub(super) fringes: Fringes,
     pub(super) moved: bool,
+}
+
+impl Drop for Cycle<'_> {
+    fn drop(&mut self) {
+        let mut buffers = std::mem::take(&mut self.buffers);
+        buffers.wanted = buffers.fringes.take_wanted();
+        self.measurer.keep(buffers);
+    }
 }
 
 impl<'a> Cycle<'a> {
     /// Finds the regions in `red`, before any fringe image is there.
     pub(super) fn new(measurer: &'a Measurer, capture: &'a Capture, red: &Image<u16>) -> Self {
         let camera = &measurer.calibration.rig.camera;
-        let as_f32 =
-            Image { width: red.width, height: red.height, pixels: red.pixels.iter().map(|&v| f32::from(v)).collect() };
-        let mut regions = regions::find(&as_f32, camera, &measurer.templates);
+        let mut buffers = measurer.buffers();
+        let Buffers { red: as_f32, rays, wanted, fringes, .. } = &mut buffers;
+        (as_f32.width, as_f32.height) = (red.width, red.height);
+        as_f32.pixels.clear();
+        as_f32.pixels.extend(red.pixels.iter().map(|&v| f32::from(v)));
+        let mut regions = regions::find(as_f32, camera, &measurer.templates);
         let first_pose = regions::first_pose(camera, &measurer.templates, &mut regions);
         let window = first_pose.and_then(|pose| depth_window(measurer, &pose)).unwrap_or(Window::whole(1, 1));
-        let rays = Rays::new(&measurer.depth_rig.camera, window);
-        let wanted = first_pose.map(|pose| wanted(measurer, &pose, &rays)).unwrap_or_default();
+        rays.renew(&measurer.depth_rig.camera, window);
+        wanted.clear();
+        if let Some(pose) = first_pose {
+            want(measurer, &pose, rays, wanted);
+        }
         let white = capture.camera.white_level();
         let red_saturated = measurer
             .templates
             .iter()
             .map(|t| first_pose.map_or(0.0, |pose| saturated_share(red, white, camera, &t.local(&pose).origin.xyz)))
             .collect();
-        let light = Light::new(&as_f32, capture.camera.black_level);
+        let light = Light::new(as_f32, capture.camera.black_level);
         let early_edges = first_pose.and_then(|pose| {
             let noise = stated_red_noise(capture)?;
             let windows = contour_windows(measurer, &pose, EDGE_MARGIN_MM);
-            let edges = edge_rays(&as_f32, &windows, &noise, camera);
+            let edges = edge_rays(as_f32, &windows, &noise, camera);
             Some((windows, edges))
         });
-        let fringes = Fringes::as_they_come(capture, window, measurer.every, wanted);
-        Self {
-            measurer,
-            capture,
-            red: as_f32,
-            red_saturated,
-            regions,
-            first_pose,
-            light,
-            early_edges,
-            rays,
-            fringes,
-            moved: false,
-        }
+        let (spare, wanted) = (std::mem::replace(fringes, Fringes::none()), std::mem::take(wanted));
+        *fringes = Fringes::as_they_come(spare, capture, window, measurer.every, wanted);
+        Self { measurer, capture, buffers, red_saturated, regions, first_pose, light, early_edges, moved: false }
     }
 
     /// Takes image `step` of fringe set `set`, in any order.
     pub fn add_fringe(&mut self, set: usize, step: u32, image: &Image<u16>) -> Result<(), fringe::Error> {
-        self.fringes.add(set, step, image)
+        self.buffers.fringes.add(set, step, image)
     }
 
     /// Takes `repeat`, the first fringe image once more at the end: where it differs from `first` by more than noise
@@ -135,7 +159,7 @@ impl<'a> Cycle<'a> {
         let gain = self.capture.fringes.first().and_then(|f| f.gain_dn_per_e).unwrap_or(TYPICAL_GAIN);
         let camera = &self.capture.camera;
         let noise = NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level);
-        let (w, white) = (self.fringes.in_image(first), self.capture.camera.white_level());
+        let (w, white) = (self.buffers.fringes.in_image(first), self.capture.camera.white_level());
         let (mut sum, mut n) = (0.0, 0.0);
         for y in w.y..w.y + w.height {
             for (a, b) in first.row(y)[w.x..w.x + w.width].iter().zip(&repeat.row(y)[w.x..w.x + w.width]) {
@@ -151,7 +175,9 @@ impl<'a> Cycle<'a> {
 
     /// The measurement. `ended` is told when each stage has ended.
     pub fn finish(mut self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
-        let decoded = Decoded::wanted(&mut self.fringes, self.capture);
+        let mut depths = std::mem::take(&mut self.buffers.depths);
+        let pixels = std::mem::take(&mut self.buffers.coordinates);
+        let mut decoded = Decoded::wanted(pixels, &mut self.buffers.fringes, self.capture);
         let mut run = Run {
             cycle: &self,
             located: Vec::new(),
@@ -160,7 +186,7 @@ impl<'a> Cycle<'a> {
             axis: Axis::Column,
             cells: Vec::new(),
         };
-        let outcome = run.pose(decoded, ended);
+        let outcome = run.pose(decoded.as_mut(), &mut depths, ended);
         let health = run.health();
         let outcome = match &health {
             Some(health) => outcome.and_then(|judged| run.with_health(judged, health)),
@@ -170,7 +196,12 @@ impl<'a> Cycle<'a> {
         measurement.calibration_health = health;
         ended(Stage::Pose);
         measurement.station = self.measurer.station();
-        (measurement, run.drawing())
+        let drawing = run.drawing();
+        if let Ok(decoded) = decoded {
+            decoded.give_back(&mut self.buffers.fringes, &mut self.buffers.coordinates);
+        }
+        self.buffers.depths = depths;
+        (measurement, drawing)
     }
 }
 
@@ -194,7 +225,8 @@ impl<'c> Run<'c, '_> {
     /// Regions, depth, features, pose: each pass finds the features with the pose of the one before.
     fn pose(
         &mut self,
-        decoded: Result<Decoded, fringe::Error>,
+        decoded: Result<&mut Decoded, &mut fringe::Error>,
+        depths: &mut Vec<Depth>,
         ended: &mut dyn FnMut(Stage),
     ) -> Result<Judged, Refused> {
         let c = self.cycle;
@@ -211,31 +243,47 @@ impl<'c> Run<'c, '_> {
             );
             return Err(Self::refuse(Code::TooDark, detail));
         }
-        let (m, rig, templates) = (c.measurer, &c.measurer.calibration.rig, &c.measurer.templates);
+        let (m, templates) = (c.measurer, &c.measurer.templates);
         self.located = c.regions.iter().map(|r| Err(r.err().unwrap_or(Code::TooFewFeatures))).collect();
         let found = c.regions.iter().filter(|r| r.is_ok()).count();
         let Some(first) = c.first_pose.filter(|_| found >= 2) else { return Err(self.too_few()) };
-        let ambiguous = |e: fringe::Error| Self::refuse(Code::PhaseAmbiguity, e.to_string());
+        let ambiguous = |e: &mut fringe::Error| Self::refuse(Code::PhaseAmbiguity, e.to_string());
         let decoded = decoded.map_err(ambiguous)?;
         let red_noise = red_noise(c.capture, &decoded.noise);
         ended(Stage::Decode);
 
         let far = sites(templates, &m.far_masks, &first);
-        let mut body = self.depth(decoded, &far)?;
+        let mut body = self.depth(decoded, depths, &far)?;
         let mut pose = self.second_pose(&body.coarse).unwrap_or(first);
         if !within(&pose, &first, m, MARGIN_USED_MM) {
             // regions were decoded about another place: once more, everywhere
-            body = self.depth(Decoded::new(&c.fringes, c.capture).map_err(ambiguous)?, &far)?;
+            *depths = body.map.pixels;
+            *decoded = Decoded::new(&c.buffers.fringes, c.capture).map_err(|mut e| ambiguous(&mut e))?;
+            body = self.depth(decoded, depths, &far)?;
             pose = self.second_pose(&body.coarse).unwrap_or(first);
         }
         ended(Stage::Surface);
+        let outcome = self.on_body(&body, pose, &red_noise, ended);
+        *depths = body.map.pixels;
+        outcome
+    }
 
-        let rays = self.edges(&contour_windows(m, &pose, 0.0), &red_noise);
-        let mut samples = self.samples(&body, &pose);
+    /// The pose of the features on `body`, found from a `pose` near it.
+    fn on_body(
+        &mut self,
+        body: &BodyDepth<'_>,
+        mut pose: CameraFromVehicle,
+        red_noise: &NoiseLaw,
+        ended: &mut dyn FnMut(Stage),
+    ) -> Result<Judged, Refused> {
+        let c = self.cycle;
+        let (m, rig, templates) = (c.measurer, &c.measurer.calibration.rig, &c.measurer.templates);
+        let rays = self.edges(&contour_windows(m, &pose, 0.0), red_noise);
+        let mut samples = self.samples(body, &pose);
         let mut sampled_at = pose;
         for pass in 0..MAX_PASSES {
             if !within(&pose, &sampled_at, m, MARGIN_MM) {
-                (samples, sampled_at) = (self.samples(&body, &pose), pose);
+                (samples, sampled_at) = (self.samples(body, &pose), pose);
             }
             let capture = if pass == 0 { CAPTURE_MM.0 } else { CAPTURE_MM.1 };
             let masks = if pass == 0 { &m.far_masks } else { &m.near_masks };
@@ -276,11 +324,18 @@ impl<'c> Run<'c, '_> {
     }
 
     /// Depth of the body about the `far` sites, and what the fringes say of themselves and of the calibration.
-    fn depth(&mut self, decoded: Decoded, far: &[Site<'_>]) -> Result<BodyDepth<'c>, Refused> {
+    fn depth(
+        &mut self,
+        decoded: &mut Decoded,
+        depths: &mut Vec<Depth>,
+        far: &[Site<'_>],
+    ) -> Result<BodyDepth<'c>, Refused> {
         let c = self.cycle;
-        let (m, mut coordinates) = (c.measurer, decoded.coordinates);
-        let Some(body) = BodyDepth::new(&m.depth_rig, &c.rays, &mut coordinates, far) else {
-            let wanted = c.fringes.wanted();
+        let m = c.measurer;
+        let body = BodyDepth::new(depths, &m.depth_rig, &c.buffers.rays, &mut decoded.coordinates, far);
+        let coordinates = &decoded.coordinates;
+        let Some(body) = body else {
+            let wanted = c.buffers.fringes.wanted();
             let looked_at = coordinates.pixels.iter().zip(wanted).filter(|(_, wanted)| **wanted);
             let states: Vec<State> = looked_at.map(|(c, _)| c.state).collect();
             let usable = states.iter().filter(|s| **s == State::Valid).count();
@@ -291,13 +346,14 @@ impl<'c> Run<'c, '_> {
             return Err(Self::refuse(code, "Too little of the body has depth to find its surface."));
         };
         self.axis = coordinates.axis;
-        if let Some(across) = &decoded.across {
+        if let Some(across) = decoded.across() {
             self.cells = epipolar_cells(&m.depth_rig, &body.map, across);
             self.cells.iter_mut().for_each(|cell| cell.pixel *= m.every as f64);
         }
-        let refused = self.contradictory(&coordinates, far).or_else(|| self.epipolar(far));
+        let refused = self.contradictory(coordinates, far).or_else(|| self.epipolar(far));
         if let Some(refused) = refused {
             self.located.clear(); // no feature is to blame
+            *depths = body.map.pixels;
             return Err(refused);
         }
         Ok(body)
@@ -311,7 +367,7 @@ impl<'c> Run<'c, '_> {
         };
         let early = c.early_edges.as_ref().filter(|(early, _)| early.len() == windows.len());
         let Some((_, edges)) = early.filter(|(early, _)| early.iter().zip(windows).all(holds)) else {
-            return edge_rays(&c.red, windows, noise, &c.measurer.calibration.rig.camera).concat();
+            return edge_rays(&c.buffers.red, windows, noise, &c.measurer.calibration.rig.camera).concat();
         };
         let inside = |(edges, w): (&Vec<EdgeRay>, &Window)| {
             let (from, to) = (Pixel::new(w.x as f64, w.y as f64), Pixel::new(w.width as f64, w.height as f64));
@@ -349,7 +405,7 @@ impl<'c> Run<'c, '_> {
             _ => Code::TooFewFeatures,
         };
         let contours = codes.iter().all(|c| (401..=406).contains(&c.number()));
-        let blur = || self.cycle.light.blur_px(&self.cycle.red).filter(|blur| *blur > MAX_BLUR_PX);
+        let blur = || self.cycle.light.blur_px(&self.cycle.buffers.red).filter(|blur| *blur > MAX_BLUR_PX);
         if let Some(blur) = contours.then(blur).flatten() {
             let detail = format!(
                 "Its sharpest edges are blurred by {blur:.1} px, allowed {MAX_BLUR_PX} px. {}.",
@@ -433,14 +489,12 @@ fn depth_window(m: &Measurer, pose: &CameraFromVehicle) -> Option<Window> {
 
 /// Which pixels of the window are worth decoding: the panel about the features of a vehicle near `pose`, and those that
 /// the calibration's health is told from.
-fn wanted(m: &Measurer, pose: &CameraFromVehicle, rays: &Rays) -> Vec<bool> {
+fn want(m: &Measurer, pose: &CameraFromVehicle, rays: &Rays, wanted: &mut Vec<bool>) {
     let Window { width, height, .. } = rays.window;
-    let mut wanted: Vec<bool> =
-        (0..width * height).map(|i| fringe::is_sampled(&rays.window, i % width, i / width)).collect();
+    wanted.extend((0..width * height).map(|i| fringe::is_sampled(&rays.window, i % width, i / width)));
     for (site, template) in sites(&m.templates, &m.grown_masks, pose).iter().zip(&m.templates) {
         body::panel_pixels(rays, &m.depth_rig.camera, site, reach(template), |i, _, _| wanted[i] = true);
     }
-    wanted
 }
 
 /// Whether every place about a feature of a vehicle at `pose` is, as the camera sees it, within `margin_mm` of where a

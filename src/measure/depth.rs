@@ -4,8 +4,8 @@
 
 use super::body::{self, Site};
 use crate::calibrate::MAX_EPIPOLAR_PX;
-use crate::capture::{Capture, Fringes, TYPICAL_GAIN, coordinates};
-use crate::fringe::{self, Axis, CoordinateMap, DepthMap, Limits, NoiseLaw, PhaseMap, Rays};
+use crate::capture::{Capture, Fringes, TYPICAL_GAIN, coordinates, coordinates_reusing};
+use crate::fringe::{self, Axis, Coordinate, CoordinateMap, Depth, DepthMap, Limits, NoiseLaw, PhaseMap, Rays};
 use crate::geometry::{Surface, frame};
 
 /// Depth is looked at this densely on the body at the design's distance, mm, and no denser, however fine the camera. A
@@ -16,8 +16,9 @@ pub(super) const LATTICE_MM: f64 = 0.6;
 pub(super) struct Decoded {
     /// Along the columns, or the rows where only they are absolute.
     pub(super) coordinates: CoordinateMap,
-    /// The finest phases along the other axis, if there are any that tell a row from the next.
-    pub(super) across: Option<PhaseMap>,
+    phases: Vec<PhaseMap>,
+    /// Which of them are the finest along the other axis, if there are any that tell a row from the next.
+    across: Option<usize>,
     /// The noise law of each set.
     pub(super) noise: Vec<NoiseLaw>,
 }
@@ -27,27 +28,47 @@ impl Decoded {
     pub(super) fn new(fringes: &Fringes, capture: &Capture) -> Result<Self, fringe::Error> {
         let noise = fringes.noise(capture);
         let phases = fringes.phases(&noise, &Limits::default())?;
-        Self::of(phases, noise, capture)
+        Self::of(Vec::new(), phases, noise, capture)
     }
 
-    /// Where it is wanted, most of it decoded as it came.
-    pub(super) fn wanted(fringes: &mut Fringes, capture: &Capture) -> Result<Self, fringe::Error> {
+    /// Where it is wanted, most of it decoded as it came; in the buffer of `pixels`.
+    pub(super) fn wanted(
+        pixels: Vec<Coordinate>,
+        fringes: &mut Fringes,
+        capture: &Capture,
+    ) -> Result<Self, fringe::Error> {
         let noise = fringes.noise(capture);
         let phases = fringes.take_phases(&noise)?;
-        Self::of(phases, noise, capture)
+        Self::of(pixels, phases, noise, capture)
     }
 
-    fn of(phases: Vec<PhaseMap>, noise: Vec<NoiseLaw>, capture: &Capture) -> Result<Self, fringe::Error> {
+    fn of(
+        pixels: Vec<Coordinate>,
+        phases: Vec<PhaseMap>,
+        noise: Vec<NoiseLaw>,
+        capture: &Capture,
+    ) -> Result<Self, fringe::Error> {
         let limits = Limits::default();
-        let coordinates = match coordinates(capture, &phases, Axis::Column, &limits) {
+        let coordinates = match coordinates_reusing(pixels, capture, &phases, Axis::Column, &limits) {
             Err(e) => coordinates(capture, &phases, Axis::Row, &limits).map_err(|_| e)?,
             Ok(map) => map,
         };
-        let across = phases.into_iter().filter(|p| p.set.axis != coordinates.axis).max_by_key(|p| p.set.count);
+        let others = phases.iter().enumerate().filter(|(_, p)| p.set.axis != coordinates.axis);
+        let across = others.max_by_key(|(_, p)| p.set.count);
         let extent = if coordinates.axis == Axis::Column { capture.projector.height } else { capture.projector.width };
         // a pitch of a few pixels cannot tell which fringe it is
-        let across = across.filter(|p| p.set.pitch(extent) > 8.0 * MAX_EPIPOLAR_PX);
-        Ok(Self { coordinates, across, noise })
+        let across = across.filter(|(_, p)| p.set.pitch(extent) > 8.0 * MAX_EPIPOLAR_PX).map(|(k, _)| k);
+        Ok(Self { coordinates, phases, across, noise })
+    }
+
+    pub(super) fn across(&self) -> Option<&PhaseMap> {
+        self.across.map(|k| &self.phases[k])
+    }
+
+    /// The buffers, for the next capture.
+    pub(super) fn give_back(self, fringes: &mut Fringes, pixels: &mut Vec<Coordinate>) {
+        fringes.give_back(self.phases);
+        *pixels = self.coordinates.pixels;
     }
 }
 
@@ -75,25 +96,29 @@ pub(super) struct BodyDepth<'a> {
 }
 
 impl<'a> BodyDepth<'a> {
+    /// In the buffer of `pixels`, which is left empty unless there is no such surface.
     pub(super) fn new(
+        pixels: &mut Vec<Depth>,
         rig: &crate::optics::Rig,
         rays: &'a Rays,
         coordinates: &mut CoordinateMap,
         sites: &[Site<'_>],
     ) -> Option<Self> {
-        let map = DepthMap::new(rig, rays, coordinates);
-        let coarse = body::coarse(&map, &rig.camera, sites)?;
+        let mut map = DepthMap::reusing(std::mem::take(pixels), rig, rays, coordinates);
+        let Some(mut coarse) = body::coarse(&map, &rig.camera, sites) else {
+            *pixels = map.pixels;
+            return None;
+        };
         let axis = coordinates.axis;
         let expected = |x: usize, y: usize| {
             let ray = rays.at(x, y);
             let met = coarse.local.point(&coarse.meet(&ray, 0.0)?);
             fringe::projector_coordinate(rig, axis, &met)
         };
-        if coordinates.predict(&Limits::default(), expected) == 0 {
-            return Some(Self { map, coarse });
+        if coordinates.predict(&Limits::default(), expected) > 0 {
+            map = DepthMap::reusing(map.pixels, rig, rays, coordinates);
+            coarse = body::coarse(&map, &rig.camera, sites)?;
         }
-        let map = DepthMap::new(rig, rays, coordinates);
-        let coarse = body::coarse(&map, &rig.camera, sites)?;
         Some(Self { map, coarse })
     }
 }

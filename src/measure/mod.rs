@@ -33,6 +33,7 @@ use crate::geometry::{Polynomial, Pose, frame};
 use crate::image::Window;
 use crate::optics::{Pixel, Rig};
 use crate::vehicle::{PanelMask, Template, VehicleFile};
+use std::sync::Mutex;
 
 /// The design's working distance, mm: for what must be sized in pixels before depth is known.
 pub(crate) const TYPICAL_DISTANCE_MM: f64 = 750.0;
@@ -63,6 +64,8 @@ pub struct Measurer {
     /// Depth is looked at in every so many-th column and row of the images, by a rig whose camera has no others.
     every: usize,
     depth_rig: Rig,
+    /// Buffers of vehicles that are done.
+    spare: Mutex<Vec<cycle::Buffers>>,
 }
 
 impl Measurer {
@@ -95,12 +98,25 @@ impl Measurer {
             grown_masks,
             every,
             depth_rig,
+            spare: Mutex::default(),
         }
     }
 
     /// Begins a vehicle with its red image, whose size is the calibration's. `capture` says what the images are.
     pub fn begin<'a>(&'a self, capture: &'a Capture, red: &crate::Image<u16>) -> Cycle<'a> {
         Cycle::new(self, capture, red)
+    }
+
+    /// Buffers of an earlier vehicle, or empty ones. Images and maps of the size of regions are made once, not once per
+    /// vehicle, and nothing of what they held is read.
+    fn buffers(&self) -> cycle::Buffers {
+        self.spare.lock().ok().and_then(|mut spare| spare.pop()).unwrap_or_default()
+    }
+
+    fn keep(&self, buffers: cycle::Buffers) {
+        if let Ok(mut spare) = self.spare.lock() {
+            spare.push(buffers);
+        }
     }
 
     fn station(&self) -> Station {

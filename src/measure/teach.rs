@@ -147,9 +147,10 @@ pub fn teach(
     let masks: Vec<PanelMask> = flat.iter().map(|l| mask_about(camera, &panel, |uv| l.point(&uv.push(0.0)))).collect();
     let eroded: Vec<PanelMask> = masks.iter().map(|m| m.eroded(EROSION_MM.1)).collect();
     let sites: Vec<Site<'_>> = flat.iter().zip(&eroded).map(|(local, panel)| Site::new(*local, panel)).collect();
-    let body = BodyDepth::new(&calibration.rig, &rays, &mut coordinates, &sites).ok_or(TeachError::Body {
-        what: "too little of the panel about the clicked points has depth: check the projector and glare",
-    })?;
+    let body =
+        BodyDepth::new(&mut Vec::new(), &calibration.rig, &rays, &mut coordinates, &sites).ok_or(TeachError::Body {
+            what: "too little of the panel about the clicked points has depth: check the projector and glare",
+        })?;
 
     let mut points: Vec<Point3<frame::Camera>> = Vec::new();
     for (feature, click) in features.features.iter().zip(&clicks) {
