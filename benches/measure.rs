@@ -73,11 +73,10 @@ fn measure(c: &mut Criterion) {
     });
     group.bench_function("begin", |bench| bench.iter(begun));
     group.bench_function("all_16_add_fringe", |bench| {
-        let add = |mut cycle: datum::measure::Cycle| {
+        let add = |cycle: &mut datum::measure::Cycle<'_>| {
             b.images().for_each(|(k, step, image)| cycle.add_fringe(k, step, image).expect("of the capture"));
-            cycle
         };
-        bench.iter_batched(begun, add, BatchSize::PerIteration);
+        bench.iter_batched_ref(begun, add, BatchSize::PerIteration);
     });
     group.bench_function("finish", |bench| {
         bench.iter_batched(filled, |cycle| cycle.finish(&mut |_| ()), BatchSize::PerIteration);

@@ -366,6 +366,27 @@ mod tests {
         near.map(|e| ((e.position - Pixel::new(24.0, 24.0)).dot(&normal) - phase, e.variance.sqrt())).collect()
     }
 
+    #[test]
+    fn interpolation_in_single_precision_is_that_in_double() {
+        let mut noise = Noise::new(5);
+        let image =
+            Image { width: 9, height: 8, pixels: (0..72).map(|_| 128.0 + 60.0 * noise.gauss() as f32).collect() };
+        let weight = |d: f64| match d.abs() {
+            d if d <= 1.0 => 1.5 * d * d * d - 2.5 * d * d + 1.0,
+            d if d < 2.0 => -0.5 * d * d * d + 2.5 * d * d - 4.0 * d + 2.0,
+            _ => 0.0,
+        };
+        for (x, y) in [(1.0, 1.0), (4.3, 2.8), (6.999, 5.5), (3.25, 5.999)] {
+            let all =
+                (0..72).map(|i| f64::from(image.pixels[i]) * weight(x - (i % 9) as f64) * weight(y - (i / 9) as f64));
+            let got = cubic(&image, &Pixel::new(x, y)).expect("inside");
+            assert!((f64::from(got) - all.sum::<f64>()).abs() < 2e-4, "{x} {y}: {got}");
+        }
+        for (x, y) in [(0.99, 3.0), (3.0, 6.0), (7.0, 3.0), (f64::NAN, 3.0), (3.0, f64::INFINITY), (-1e300, 3.0)] {
+            assert_eq!(cubic(&image, &Pixel::new(x, y)), None, "{x} {y}");
+        }
+    }
+
     fn edges(image: &Image<f32>) -> Vec<Edgel> {
         find_edges(image, Window::whole(48, 48), &EdgeFilter::default(), |_| SIGMA * SIGMA)
     }

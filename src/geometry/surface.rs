@@ -375,6 +375,40 @@ mod tests {
     }
 
     #[test]
+    fn the_slope_is_the_heights_derivative() {
+        let mut noise = Noise::new(2);
+        for order in 0..=MAX_ORDER {
+            let coefficients: Vec<f64> = (0..terms(order)).map(|_| noise.gauss()).collect();
+            let polynomial = Polynomial::from_coefficients(40.0, &coefficients).expect("of an order");
+            let (uv, h) = (Vector2::new(13.0, -29.0), 1e-3);
+            let at = |du: f64, dv: f64| polynomial.height(&(uv + Vector2::new(du, dv)));
+            let slope = Vector2::new(at(h, 0.0) - at(-h, 0.0), at(0.0, h) - at(0.0, -h)) / (2.0 * h);
+            assert!((polynomial.slope(&uv) - slope).amax() < 1e-9, "order {order}");
+        }
+    }
+
+    #[test]
+    fn the_misfit_is_that_of_each_cell_beside_its_two_next() {
+        let mut cells = cells(|u, v| 1e-4 * u * v, 0.01);
+        let weights: Vec<f64> = (0..cells.len()).map(|k| if k % 7 < 2 { 0.0 } else { 1.0 }).collect();
+        let flat = Polynomial::from_coefficients(1.0, &[0.0]).expect("a constant");
+        let used = || cells.iter().zip(&weights).filter(|(_, w)| **w > 0.0).map(|(c, _)| c);
+        let map: std::collections::BTreeMap<_, _> = used().map(|c| (c.index, c)).collect();
+        let next = |c: &Cell| [[c.index[0] + 1, c.index[1]], [c.index[0], c.index[1] + 1]];
+        let pairs: Vec<(&Cell, &Cell)> = used()
+            .flat_map(|c| next(c).into_iter().filter_map(|n| Some((c, *map.get(&n)?))).collect::<Vec<_>>())
+            .collect();
+        let n = pairs.len() as f64;
+        let mean = pairs.iter().map(|(a, b)| a.w * b.w).sum::<f64>() / n;
+        let scatter = pairs.iter().map(|(a, b)| a.variance * b.variance).sum::<f64>();
+        let expected = (mean - 2.0 * scatter.sqrt() / n).sqrt();
+        assert!(expected > 0.02 && (misfit(&cells, &weights, &flat) / expected - 1.0).abs() < 1e-9);
+        cells.reverse();
+        let reversed: Vec<f64> = weights.iter().rev().copied().collect();
+        assert!((misfit(&cells, &reversed, &flat) / expected - 1.0).abs() < 1e-9, "in any order");
+    }
+
+    #[test]
     fn a_flat_cylinder_is_fitted_wide_and_a_flare_narrow_or_high() {
         let at = [Vector2::zeros()];
         let radii = [30.0, 45.0, 60.0, 90.0];

@@ -381,3 +381,46 @@ impl Samples {
         Ok(Patch { surface, coverage })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::Noise;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn sums_in_a_grid_are_those_of_a_map_of_cells() {
+        let mut noise = Noise::new(6);
+        let (mut grid, mut map) = (CellSums::new(30.0), BTreeMap::<[i32; 2], [f64; 4]>::new());
+        for _ in 0..3000 {
+            let c = Vector3::new(12.0 * noise.gauss(), 12.0 * noise.gauss(), noise.gauss());
+            let variance = 0.5 + noise.gauss().abs();
+            grid.add(&c, variance);
+            let index = [(c.x / CELL_MM).floor() as i32, (c.y / CELL_MM).floor() as i32];
+            let sums = map.entry(index).or_default();
+            for (sum, term) in sums.iter_mut().zip([1.0, c.x, c.y, c.z]) {
+                *sum += term / variance;
+            }
+        }
+        let beyond = |index: &[i32; 2]| index.iter().any(|k| !(-15..15).contains(k));
+        map.retain(|index, _| !beyond(index));
+        let cells = grid.cells();
+        assert_eq!(cells.iter().map(|c| c.index).collect::<Vec<_>>(), map.keys().copied().collect::<Vec<_>>());
+        for (cell, [n, u, v, w]) in cells.iter().zip(map.values()) {
+            let off = [cell.uv.x - u / n, cell.uv.y - v / n, cell.w - w / n, cell.variance - 1.0 / n];
+            assert!(off.iter().all(|d| d.abs() < 1e-12), "{cell:?}");
+        }
+        grid.clear();
+        assert!(grid.cells().is_empty());
+    }
+
+    #[test]
+    fn rays_meet_the_plane_where_geometry_says() {
+        let axes = nalgebra::Rotation3::from_euler_angles(3.0, 0.2, -0.1).into_inner();
+        let local = Local { origin: Point3::new(Vector3::new(-150.0, 120.0, 790.0)), axes };
+        for uv in [Vector2::new(40.0, -70.0), Vector2::zeros()] {
+            let p = local.point(&uv.push(0.0)).xyz;
+            assert!((OnPlane::new(&local).meet(&(p.xy() / p.z)) - uv).amax() < 1e-9);
+        }
+    }
+}

@@ -128,3 +128,35 @@ pub(crate) fn edge_rays(image: &Image<f32>, windows: &[Window], noise: &NoiseLaw
     };
     windows.par_iter().map(inside).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::Noise;
+
+    #[test]
+    fn edges_of_a_window_are_those_of_the_whole_image_there() {
+        let mut noise = Noise::new(8);
+        let mut image = Image::filled(400, 300, 0f32);
+        for (i, v) in image.pixels.iter_mut().enumerate() {
+            let (x, y) = ((i % 400) as f64, (i / 400) as f64);
+            let off = (x - 200.0).hypot(y - 150.0) - 90.0;
+            let gap = 1.0 - (-(off / 2.5).powi(4)).exp();
+            *v = ((30.0 + 0.2 * x) * gap + 8.0 + noise.gauss()) as f32;
+        }
+        let lens = Lens { width: 400, height: 300, fx: 700.0, fy: 700.0, cx: 199.5, cy: 149.5, distortion: [0.0; 5] };
+        let law = NoiseLaw { gain: 0.0, variance0: 1.0, black: 0.0 };
+        let window = Window { x: 180, y: 40, width: 150, height: 60 };
+        let found = edge_rays(&image, &[Window::whole(400, 300), window], &law, &lens);
+        // the crossing may lie outside though its edge was found inside
+        let well_inside = |e: &&EdgeRay| {
+            let p = e.edgel.position - Pixel::new(window.x as f64, window.y as f64);
+            p.x > 8.0 && p.y > 8.0 && p.x < window.width as f64 - 8.0 && p.y < window.height as f64 - 8.0
+        };
+        let [whole, part] = [0, 1].map(|k| found[k].iter().filter(well_inside).collect::<Vec<_>>());
+        assert!(whole.len() == part.len() && whole.len() > 100, "{} {}", whole.len(), part.len());
+        for (a, b) in whole.iter().zip(&part) {
+            assert!((a.edgel.position - b.edgel.position).amax() < 1e-3 && (a.ray - b.ray).amax() < 1e-6);
+        }
+    }
+}
