@@ -110,13 +110,13 @@ impl CellSums {
 
     /// The cells with any points, by their index.
     fn cells(&self) -> Vec<Cell> {
-        let place = |k: usize| [k as i32 / (2 * self.half) - self.half, k as i32 % (2 * self.half) - self.half];
-        let cell = |(k, s): (usize, &Sums)| {
+        let place = |k: i32| [k / (2 * self.half) - self.half, k % (2 * self.half) - self.half];
+        let cell = |(k, s): (i32, &Sums)| {
             let n = s.weight;
             let uv = Vector2::new(s.u / n, s.v / n);
             (n > 0.0).then(|| Cell { index: place(k), uv, w: s.w / n, variance: 1.0 / n })
         };
-        self.sums.iter().enumerate().filter_map(cell).collect()
+        (0..).zip(&self.sums).filter_map(cell).collect()
     }
 }
 
@@ -235,7 +235,7 @@ pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> O
     let mut cells = Vec::new();
     let mut rest = &mut sorted[..];
     let mut start = 0;
-    for (k, &end) in end[..side * side].iter().enumerate() {
+    for (k, &end) in (0..).zip(&end[..side * side]) {
         let points;
         (points, rest) = rest.split_at_mut((end - start) as usize);
         start = end;
@@ -243,7 +243,7 @@ pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> O
             // the median in w, so that a few wild pixels do not move the cell
             let middle = points.len() / 2;
             let (c, variance) = *points.select_nth_unstable_by(middle, |a, b| a.0.z.total_cmp(&b.0.z)).1;
-            let index = [k / side, k % side].map(|i| i as i32 - COARSE_CELLS);
+            let index = [k / (2 * COARSE_CELLS), k % (2 * COARSE_CELLS)].map(|i| i - COARSE_CELLS);
             cells.push(Cell { index, uv: c.xy(), w: c.z, variance: variance + 0.05 * 0.05 });
         }
     }
