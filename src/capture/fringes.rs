@@ -3,8 +3,8 @@
 
 use super::Capture;
 use crate::fringe::{
-    self, Accumulator, Axis, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, PhaseMap, difference_samples,
-    residual_samples,
+    self, Accumulator, Axis, Coordinate, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, Phase, PhaseMap,
+    difference_samples, residual_samples,
 };
 use crate::image::{Image, Window};
 
@@ -17,13 +17,23 @@ pub const TYPICAL_GAIN: f64 = 0.032;
 /// The fringe sets of one capture while they are summed up.
 #[derive(Clone, Debug)]
 pub struct Fringes {
-    /// Where in the image.
+    /// Where in the image that is left of every image: all of it, or every `every`-th column and row.
     pub window: Window,
+    every: usize,
     sums: Vec<Accumulator>,
     /// Noise samples of sets that tell nothing by themselves.
     differences: Vec<NoiseSample>,
     white_level: u16,
     only: Option<Axis>,
+    /// The law that is stated of each set, or that its own images told when they were all there.
+    known: Vec<Option<NoiseLaw>>,
+    black: f64,
+    /// Where sets are decoded as soon as they are complete and their noise is known; nowhere if empty.
+    wanted: Vec<bool>,
+    /// What was decoded so, per set.
+    decoded: Vec<Option<PhaseMap>>,
+    /// Buffers for what will be.
+    spare: Vec<Vec<Phase>>,
 }
 
 impl Fringes {
@@ -35,30 +45,117 @@ impl Fringes {
             let set = PatternSet::new(set.axis, set.count, set.steps).expect("checked when the capture was read");
             Accumulator::new(set, white_level, windows).expect("checked when the capture was read")
         });
-        Self { window, sums: sums.collect(), differences: Vec::new(), white_level, only }
+        let (black, read) = (capture.camera.black_level, capture.camera.read_noise_e.unwrap_or(0.0));
+        let stated = |set: &super::FringeSet| set.gain_dn_per_e.map(|gain| NoiseLaw::from_sensor(gain, read, black));
+        Self {
+            window,
+            every: 1,
+            sums: sums.collect(),
+            differences: Vec::new(),
+            white_level,
+            only,
+            known: capture.fringes.iter().map(stated).collect(),
+            black,
+            wanted: Vec::new(),
+            decoded: vec![None; capture.fringes.len()],
+            spare: Vec::new(),
+        }
+    }
+
+    /// Of all sets of `capture`, where `window` is of what is left of the images when only every `every`-th column and
+    /// row is looked at. Sets are decoded when their last image comes, where `wanted` is true, row by row.
+    /// The buffers of `spare` are used again.
+    pub fn as_they_come(spare: Self, capture: &Capture, window: Window, every: usize, wanted: Vec<bool>) -> Self {
+        let mut new = Self::new(capture, Window::whole(0, 0), None);
+        (new.window, new.every, new.wanted) = (window, every, wanted);
+        let mut sums = spare.sums.into_iter();
+        for own in &mut new.sums {
+            if let Some(mut reused) = sums.next() {
+                reused.turn_to(*own.set(), new.white_level).expect("the set of an accumulator");
+                *own = reused;
+            }
+            own.thin(every);
+            own.restart(&[window]);
+        }
+        new.spare = spare.spare;
+        new.give_back(spare.decoded.into_iter().flatten());
+        new
+    }
+
+    /// Nothing, of no capture: what a first capture begins with.
+    pub fn none() -> Self {
+        Self {
+            window: Window::whole(0, 0),
+            every: 1,
+            sums: Vec::new(),
+            differences: Vec::new(),
+            white_level: u16::MAX,
+            only: None,
+            known: Vec::new(),
+            black: 0.0,
+            wanted: Vec::new(),
+            decoded: Vec::new(),
+            spare: Vec::new(),
+        }
+    }
+
+    /// Takes phases that are no longer needed, for their buffers.
+    pub fn give_back(&mut self, phases: impl IntoIterator<Item = PhaseMap>) {
+        self.spare.extend(phases.into_iter().map(|map| map.pixels));
+    }
+
+    /// Gives up the list of what was wanted, for its buffer.
+    pub fn take_wanted(&mut self) -> Vec<bool> {
+        std::mem::take(&mut self.wanted)
+    }
+
+    fn decode(&mut self, set: usize, noise: &NoiseLaw) -> Result<PhaseMap, fringe::Error> {
+        let sums = &self.sums[set];
+        let pixels = self.spare.pop().unwrap_or_default();
+        let mut map = PhaseMap { set: *sums.set(), window: self.window, pixels };
+        fringe::decode_where(sums, 0, noise, &Limits::DEFAULT, &self.wanted, &mut map)?;
+        Ok(map)
     }
 
     /// Takes image `step` of set `set`, in any order.
     pub fn add(&mut self, set: usize, step: u32, image: &Image<u16>) -> Result<(), fringe::Error> {
         let pattern = *self.sums[set].set();
         if pattern.steps == 3 && self.differences.is_empty() {
-            self.differences = difference_samples(image, pattern.axis, self.window, self.white_level, NOISE_SAMPLES);
+            let window = self.in_image(image);
+            self.differences = difference_samples(image, pattern.axis, window, self.white_level, NOISE_SAMPLES);
         }
-        self.sums[set].add(step, image)
+        self.sums[set].add(step, image)?;
+        if !self.wanted.is_empty() && self.sums[set].is_complete() {
+            self.known[set] = self.known[set].or_else(|| self.own(set));
+            if let Some(noise) = self.known[set] {
+                self.decoded[set] = Some(self.decode(set, &noise)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// The window in pixels of `image`.
+    pub fn in_image<T>(&self, image: &Image<T>) -> Window {
+        let (Window { x, y, width, height }, n) = (self.window, self.every);
+        let (x, y) = (x * n, y * n);
+        Window { x, y, width: (width * n).min(image.width - x), height: (height * n).min(image.height - y) }
+    }
+
+    fn own(&self, k: usize) -> Option<NoiseLaw> {
+        NoiseLaw::estimate(&residual_samples(&self.sums[k], NOISE_SAMPLES), self.black)
     }
 
     /// The noise law of each set: stated, or from its own residuals, or from another set's, or from the images.
     pub fn noise(&self, capture: &Capture) -> Vec<NoiseLaw> {
-        let (black, read) = (capture.camera.black_level, capture.camera.read_noise_e.unwrap_or(0.0));
-        let stated = |k: usize| capture.fringes[k].gain_dn_per_e.map(|gain| NoiseLaw::from_sensor(gain, read, black));
-        let own = |k: usize| NoiseLaw::estimate(&residual_samples(&self.sums[k], NOISE_SAMPLES), black);
+        let read = capture.camera.read_noise_e.unwrap_or(0.0);
+        let known = |k: usize| self.known[k].or_else(|| self.own(k));
         let of_any = || {
             (0..self.sums.len())
-                .find_map(|k| stated(k).or_else(|| own(k)))
-                .or_else(|| NoiseLaw::estimate(&self.differences, black))
-                .unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, read, black))
+                .find_map(known)
+                .or_else(|| NoiseLaw::estimate(&self.differences, self.black))
+                .unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, read, self.black))
         };
-        (0..self.sums.len()).map(|k| stated(k).or_else(|| own(k)).unwrap_or_else(of_any)).collect()
+        (0..self.sums.len()).map(|k| known(k).unwrap_or_else(of_any)).collect()
     }
 
     /// The wrapped phases of every set that is kept. `noise`: one law per set of the capture.
@@ -66,6 +163,20 @@ impl Fringes {
         let kept = self.sums.iter().zip(noise).filter(|(s, _)| self.only.is_none_or(|axis| axis == s.set().axis));
         let decoded = kept.map(|(sums, noise)| fringe::decode(sums, noise, limits));
         Ok(decoded.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
+    }
+
+    /// The wrapped phases of every set where they were wanted; what was decoded as it came is moved out.
+    pub fn take_phases(&mut self, noise: &[NoiseLaw]) -> Result<Vec<PhaseMap>, fringe::Error> {
+        let phases = |k: usize| match self.decoded[k].take() {
+            Some(map) => Ok(map),
+            None => self.decode(k, &noise[k]),
+        };
+        (0..noise.len()).map(phases).collect()
+    }
+
+    /// Where phases were wanted, row by row; empty: everywhere.
+    pub fn wanted(&self) -> &[bool] {
+        &self.wanted
     }
 }
 
@@ -76,9 +187,20 @@ pub fn coordinates(
     axis: Axis,
     limits: &Limits,
 ) -> Result<CoordinateMap, fringe::Error> {
+    coordinates_reusing(Vec::new(), capture, phases, axis, limits)
+}
+
+/// As [`coordinates`], in the buffer of `pixels`.
+pub fn coordinates_reusing(
+    pixels: Vec<Coordinate>,
+    capture: &Capture,
+    phases: &[PhaseMap],
+    axis: Axis,
+    limits: &Limits,
+) -> Result<CoordinateMap, fringe::Error> {
     let extent = match axis {
         Axis::Column => capture.projector.width,
         Axis::Row => capture.projector.height,
     };
-    fringe::unwrap(phases, axis, extent, limits)
+    fringe::unwrap_reusing(pixels, phases, axis, extent, limits)
 }

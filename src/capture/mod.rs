@@ -9,7 +9,7 @@ pub(crate) mod shoot;
 pub use record::{Plan, RecordError, record, record_while, write};
 pub use shoot::{Described, Devices, Light, SETS, ShootError, Shooting, Shots, pictures};
 
-pub use fringes::{Fringes, TYPICAL_GAIN, coordinates};
+pub use fringes::{Fringes, TYPICAL_GAIN, coordinates, coordinates_reusing};
 
 use crate::document::{self, Check};
 use crate::fringe::Axis;

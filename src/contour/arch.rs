@@ -60,8 +60,9 @@ pub fn arch_top(points: &[(f64, f64, f64)], centre: f64, window: f64) -> Result<
     let best = fits.iter().min_by(|a, b| bic(a).total_cmp(&bic(b))).ok_or(NoArchTop::Degenerate)?;
     let top = best.maximum().ok_or(NoArchTop::NoMaximum)?;
     let order = best.coefficients.len() - 1;
-    let along = -powers(top, order, 1) / best.value(top, 2);
-    let height = powers(top, order, 0);
+    let row = |times: usize| RowDVector::from_row_slice(&powers(top, order, times)[..=order]);
+    let along = -row(1) / best.value(top, 2);
+    let height = row(0);
     let spread = |a: &RowDVector<f64>, b: &RowDVector<f64>| (a * &best.covariance * b.transpose())[0];
     let cross = spread(&along, &height) * window;
     Ok(ArchTop {
@@ -100,19 +101,25 @@ impl Polynomial {
 
     /// Least squares of weighted points.
     fn solve(points: impl Iterator<Item = ((f64, f64, f64), f64)>, order: usize) -> Option<Self> {
-        let (mut a, mut b) = (DMatrix::zeros(order + 1, order + 1), DVector::zeros(order + 1));
+        let (mut a, mut b) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
         for ((x, value, variance), weight) in points {
             let row = powers(x, order, 0);
-            b += row.transpose() * (value * weight / variance);
-            a += row.transpose() * row * (weight / variance);
+            for i in 0..=order {
+                b[i] += row[i] * (value * weight / variance);
+                for j in 0..=order {
+                    a[i][j] += row[i] * row[j] * (weight / variance);
+                }
+            }
         }
-        let factor = a.cholesky()?;
+        let factor = DMatrix::from_fn(order + 1, order + 1, |i, j| a[i][j]).cholesky()?;
+        let b = DVector::from_row_slice(&b[..=order]);
         Some(Self { coefficients: factor.solve(&b), covariance: factor.inverse(), scale: 1.0 })
     }
 
     /// The value at `x`, derived `times` times.
     fn value(&self, x: f64, times: usize) -> f64 {
-        (powers(x, self.coefficients.len() - 1, times) * &self.coefficients)[0]
+        let powers = powers(x, self.coefficients.len() - 1, times);
+        self.coefficients.iter().zip(powers).map(|(c, p)| c * p).sum()
     }
 
     fn residuals(&self, points: &[(f64, f64, f64)]) -> Vec<f64> {
@@ -139,12 +146,16 @@ impl Polynomial {
     }
 }
 
-/// The powers of `x`, 0 to `order`, derived `times` times.
-fn powers(x: f64, order: usize, times: usize) -> RowDVector<f64> {
-    RowDVector::from_fn(order + 1, |_, k| {
+/// Coefficients of the highest order.
+const TERMS: usize = 5;
+
+/// The powers of `x`, 0 to `order`, derived `times` times; then zeros.
+fn powers(x: f64, order: usize, times: usize) -> [f64; TERMS] {
+    let power = |k: usize| {
         let factor: f64 = (0..times).map(|t| k as f64 - t as f64).product(); // 0 where k < times
         factor * repeat_n(x, k.saturating_sub(times)).product::<f64>()
-    })
+    };
+    std::array::from_fn(|k| if k <= order { power(k) } else { 0.0 })
 }
 
 #[cfg(test)]

@@ -7,7 +7,6 @@
 use crate::image::{Image, Window};
 use crate::optics::Pixel;
 use nalgebra::Vector2;
-use std::collections::HashMap;
 use std::f64::consts::{PI, SQRT_2};
 
 /// A point of an edge.
@@ -117,13 +116,18 @@ pub fn find_edges(
     let kernels = Kernels::new(filter.sigma);
     let (of_gradient, of_difference) = kernels.noise();
     let gradient = gradient(image, window, &kernels);
-    let strength: Vec<f32> = gradient.iter().map(Vector2::norm).collect();
+    let strength: Vec<f32> = gradient.iter().map(|g| (g.x * g.x + g.y * g.y).sqrt()).collect();
     let width = window.width;
-    let mut found: HashMap<usize, (Edgel, bool)> = HashMap::new(); // by pixel; whether an edge may begin here
+    const NONE: u32 = u32::MAX;
+    let mut found: Vec<(Edgel, bool)> = Vec::new(); // whether it is kept: an edge may begin here, or goes on
+    let mut at = vec![NONE; strength.len()]; // by pixel: which of them
     let mut stack = Vec::new();
     for y in 1..window.height.saturating_sub(1) {
         for x in 1..width.saturating_sub(1) {
             let i = y * width + x;
+            if f64::from(strength[i]) <= filter.keep.1 {
+                continue; // most pixels: no noise need be known
+            }
             let pixel_variance = variance(f64::from(image.at(window.x + x, window.y + y)));
             let noise = (pixel_variance * of_gradient).sqrt();
             let exceeds = |(sigmas, slope): (f64, f64)| f64::from(strength[i]) > (sigmas * noise).max(slope);
@@ -139,30 +143,20 @@ pub fn find_edges(
                 variance: pixel_variance * of_difference / (4.0 * curvature * curvature) / normal.amax().powi(2),
                 softness: 0.0,
             };
-            found.insert(i, (edgel, false));
+            at[i] = found.len() as u32;
+            found.push((edgel, false));
             if exceeds(filter.start) {
                 stack.push(i);
             }
         }
     }
     while let Some(i) = stack.pop() {
-        if let Some((_, kept)) = found.get_mut(&i).filter(|(_, kept)| !kept) {
-            *kept = true;
-            stack.extend([
-                i - width - 1,
-                i - width,
-                i - width + 1,
-                i - 1,
-                i + 1,
-                i + width - 1,
-                i + width,
-                i + width + 1,
-            ]);
-        }
+        let Some((_, kept)) = found.get_mut(at[i] as usize).filter(|(_, kept)| !kept) else { continue };
+        *kept = true;
+        let rows = [i - width, i, i + width];
+        stack.extend(rows.iter().flat_map(|i| i - 1..=i + 1).filter(|i| at[*i] != NONE));
     }
-    let mut kept: Vec<_> = found.into_iter().filter(|(_, (_, kept))| *kept).collect();
-    kept.sort_unstable_by_key(|(i, _)| *i);
-    kept.into_iter().map(|(_, (edgel, _))| edgel).collect()
+    found.into_iter().filter(|(_, kept)| *kept).map(|(edgel, _)| edgel).collect()
 }
 
 /// The offset (px) from pixel `i` to the maximum of `strength` along the gradient `g`, and the curvature there
@@ -216,29 +210,63 @@ pub fn cross_level(
     body: impl Fn(&Pixel) -> f64,
     variance: impl Fn(f64) -> f64,
 ) -> Vec<Edgel> {
-    edgels.iter().filter_map(|e| crossing(image, e, reach, body(&e.position), &variance)).collect()
+    let mut profile = Profile::new(reach);
+    edgels.iter().filter_map(|e| crossing(image, e, &mut profile, body(&e.position), &variance)).collect()
 }
 
-fn crossing(image: &Image<f32>, e: &Edgel, reach: f64, body: f64, variance: impl Fn(f64) -> f64) -> Option<Edgel> {
-    let tangent = Vector2::new(-e.normal.y, e.normal.x) * SPACING;
-    let profile = |d: f64| {
-        let mut sum = 0.0;
-        for k in -2..=2 {
-            sum += cubic(image, &(e.position + e.normal * d + tangent * f64::from(k)))?;
+/// The grey levels across one edge, and what is the same of all of them.
+struct Profile {
+    reach: f64,
+    /// Smoothing, of sum 1.
+    kernel: Vec<f32>,
+    raw: Vec<f32>,
+    values: Vec<f64>,
+}
+
+impl Profile {
+    fn new(reach: f64) -> Self {
+        let tail = (3.0 * SMOOTHING / STEP) as usize;
+        let taps = (0..=2 * tail).map(|k| (-0.5 * ((k as f64 - tail as f64) * STEP / SMOOTHING).powi(2)).exp());
+        let gain: f64 = taps.clone().sum();
+        Self { reach, kernel: taps.map(|v| (v / gain) as f32).collect(), raw: Vec::new(), values: Vec::new() }
+    }
+
+    /// Steps to each side of the edge.
+    fn zero(&self) -> usize {
+        (self.reach / STEP).ceil() as usize
+    }
+
+    /// Takes the smoothed profile across `e`; `None` where it leaves the image.
+    fn take(&mut self, image: &Image<f32>, e: &Edgel) -> Option<()> {
+        let tangent = Vector2::new(-e.normal.y, e.normal.x) * SPACING;
+        let (zero, tail) = (self.zero(), self.kernel.len() / 2);
+        self.raw.clear();
+        for i in 0..=2 * (zero + tail) {
+            let at = e.position + e.normal * ((i as f64 - (zero + tail) as f64) * STEP);
+            let mut sum = 0.0;
+            for k in -2..=2 {
+                sum += cubic(image, &(at + tangent * f64::from(k)))?;
+            }
+            self.raw.push(sum / 5.0);
         }
-        Some(sum / 5.0)
-    };
-    let margin = 3.0 * SMOOTHING;
-    let zero = (reach / STEP).ceil() as usize;
+        let smooth = |around: &[f32]| around.iter().zip(&self.kernel).map(|(v, k)| f64::from(v * k)).sum::<f64>();
+        self.values.clear();
+        self.values.extend(self.raw.windows(self.kernel.len()).map(smooth));
+        Some(())
+    }
+}
+
+fn crossing(
+    image: &Image<f32>,
+    e: &Edgel,
+    profile: &mut Profile,
+    body: f64,
+    variance: impl Fn(f64) -> f64,
+) -> Option<Edgel> {
+    profile.take(image, e)?;
+    let (reach, zero, values) = (profile.reach, profile.zero(), &profile.values);
     let n = 2 * zero;
     let place = |i: usize| (i as f64 - zero as f64) * STEP;
-    let tail = (margin / STEP) as usize;
-    let raw: Vec<f64> = (0..=n + 2 * tail).map(|i| profile(place(i) - tail as f64 * STEP)).collect::<Option<_>>()?;
-    let kernel: Vec<f64> =
-        (0..=2 * tail).map(|k| (-0.5 * ((k as f64 - tail as f64) * STEP / SMOOTHING).powi(2)).exp()).collect();
-    let gain: f64 = kernel.iter().sum();
-    let smooth = |around: &[f64]| around.iter().zip(&kernel).map(|(v, k)| v * k).sum::<f64>() / gain;
-    let values: Vec<f64> = raw.windows(kernel.len()).map(smooth).collect();
     // the mean about the darkest place: the least of many noisy values would be too dark
     let darkest = (0..=zero).min_by(|i, j| values[*i].total_cmp(&values[*j]))?;
     let about = &values[darkest.saturating_sub(2)..=(darkest + 2).min(zero)];
@@ -275,21 +303,36 @@ fn crossing(image: &Image<f32>, e: &Edgel, reach: f64, body: f64, variance: impl
 }
 
 /// Catmull–Rom interpolation; `None` within two pixels of the border.
-fn cubic(image: &Image<f32>, p: &Pixel) -> Option<f64> {
-    let (x, y) = (p.x.floor(), p.y.floor());
-    if !(x >= 1.0 && y >= 1.0 && x + 2.0 < image.width as f64 && y + 2.0 < image.height as f64) {
+fn cubic(image: &Image<f32>, p: &Pixel) -> Option<f32> {
+    let inside = |v: f64, n: usize| v >= 1.0 && v < n as f64; // a NaN is not
+    if !(inside(p.x, image.width) && inside(p.y, image.height)) {
+        return None;
+    }
+    let (column, row) = (p.x as usize, p.y as usize);
+    if column + 2 >= image.width || row + 2 >= image.height {
         return None;
     }
     let weights = |t: f64| {
+        let t = t as f32;
         let (t2, t3) = (t * t, t * t * t);
-        [-t + 2.0 * t2 - t3, 2.0 - 5.0 * t2 + 3.0 * t3, t + 4.0 * t2 - 3.0 * t3, t3 - t2].map(|w| 0.5 * w)
+        [
+            0.5 * (-t + 2.0 * t2 - t3),
+            0.5 * (2.0 - 5.0 * t2 + 3.0 * t3),
+            0.5 * (t + 4.0 * t2 - 3.0 * t3),
+            0.5 * (t3 - t2),
+        ]
     };
-    let (across, down) = (weights(p.x - x), weights(p.y - y));
-    let row = |j: usize| {
-        let row = &image.row(y as usize + j - 1)[x as usize - 1..x as usize + 3];
-        row.iter().zip(across).map(|(v, w)| f64::from(*v) * w).sum::<f64>()
-    };
-    Some(down.iter().enumerate().map(|(j, w)| w * row(j)).sum())
+    let (across, down) = (weights(p.x - column as f64), weights(p.y - row as f64));
+    let first = (row - 1) * image.width + column - 1;
+    let around = &image.pixels[first..first + 3 * image.width + 4];
+    let mut columns = [0f32; 4];
+    for (j, w) in down.into_iter().enumerate() {
+        let row: &[f32; 4] = around[j * image.width..].first_chunk().expect("four rows of at least four");
+        for (sum, v) in columns.iter_mut().zip(row) {
+            *sum += w * v;
+        }
+    }
+    Some(columns.iter().zip(across).map(|(v, w)| v * w).sum())
 }
 
 /// The normal distribution function and its density at `u`, to 1.5e-7.
@@ -339,6 +382,27 @@ mod tests {
             .iter()
             .filter(|e| e.normal.dot(&normal) > 0.7 && (e.position - Pixel::new(24.0, 24.0)).norm() < 10.0);
         near.map(|e| ((e.position - Pixel::new(24.0, 24.0)).dot(&normal) - phase, e.variance.sqrt())).collect()
+    }
+
+    #[test]
+    fn interpolation_in_single_precision_is_that_in_double() {
+        let mut noise = Noise::new(5);
+        let image =
+            Image { width: 9, height: 8, pixels: (0..72).map(|_| 128.0 + 60.0 * noise.gauss() as f32).collect() };
+        let weight = |d: f64| match d.abs() {
+            d if d <= 1.0 => 1.5 * d * d * d - 2.5 * d * d + 1.0,
+            d if d < 2.0 => -0.5 * d * d * d + 2.5 * d * d - 4.0 * d + 2.0,
+            _ => 0.0,
+        };
+        for (x, y) in [(1.0, 1.0), (4.3, 2.8), (6.999, 5.5), (3.25, 5.999)] {
+            let all =
+                (0..72).map(|i| f64::from(image.pixels[i]) * weight(x - (i % 9) as f64) * weight(y - (i / 9) as f64));
+            let got = cubic(&image, &Pixel::new(x, y)).expect("inside");
+            assert!((f64::from(got) - all.sum::<f64>()).abs() < 2e-4, "{x} {y}: {got}");
+        }
+        for (x, y) in [(0.99, 3.0), (3.0, 6.0), (7.0, 3.0), (f64::NAN, 3.0), (3.0, f64::INFINITY), (-1e300, 3.0)] {
+            assert_eq!(cubic(&image, &Pixel::new(x, y)), None, "{x} {y}");
+        }
     }
 
     fn edges(image: &Image<f32>) -> Vec<Edgel> {

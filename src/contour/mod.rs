@@ -3,6 +3,7 @@
 //! Not here: lenses, depth, the third dimension: callers carry points from the image into a metric plane.
 
 mod arch;
+mod buckets;
 mod edges;
 mod ellipse;
 mod link;

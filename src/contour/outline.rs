@@ -5,6 +5,7 @@
 //! Point-to-tangent distances to the nearest template point: Chen, Medioni, "Object modelling by registration of
 //! multiple range images", Image and Vision Computing 10 (1992) 145. Tukey weights.
 
+use super::buckets::Buckets;
 use crate::geometry::robust::weigh;
 use nalgebra::{Matrix3, Rotation2, SymmetricEigen, Vector2, Vector3};
 
@@ -132,14 +133,17 @@ pub fn align(
     options: &AlignmentOptions,
 ) -> Result<Alignment, NoAlignment> {
     let (mut motion, mut capture) = (guess, options.capture.0);
-    let mut system = System::new(template, measured, &motion, capture, options.rotate)?;
+    let places = Buckets::new(template.iter().map(|t| t.position), options.capture.1);
+    let system_at =
+        |motion: &Motion, capture: f64| System::new(template, &places, measured, motion, capture, options.rotate);
+    let mut system = system_at(&motion, capture)?;
     for _ in 0..50 {
         let step = system.step();
         motion.shift += step.xy();
         motion.theta += step.z;
         let settled = capture <= options.capture.1;
         capture = (0.5 * capture).max(options.capture.1);
-        system = System::new(template, measured, &motion, capture, options.rotate)?;
+        system = system_at(&motion, capture)?;
         if settled && step.xy().norm() + (step.z * system.gyration).abs() < 1e-7 {
             break;
         }
@@ -193,8 +197,10 @@ struct System {
 }
 
 impl System {
+    /// `places`: the template's points.
     fn new(
         template: &[TemplatePoint],
+        places: &Buckets,
         measured: &[ContourPoint],
         motion: &Motion,
         capture: f64,
@@ -205,10 +211,13 @@ impl System {
         let (mut pairs, mut sigmas, mut matched) = (Vec::new(), Vec::new(), Vec::new());
         for (i, m) in measured.iter().enumerate() {
             let p = m.position - motion.shift;
-            let near =
-                arms.iter().filter(|(_, n)| n.dot(&m.normal) > AGREEING).map(|(q, n)| ((p - q).norm_squared(), q, n));
-            let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0)).filter(|(d2, _, _)| *d2 <= capture * capture);
-            if let Some((_, q, n)) = nearest {
+            let near = places.near(rotation.inverse_transform_vector(&p), capture);
+            let near = near.filter(|k| arms[*k].1.dot(&m.normal) > AGREEING);
+            let near = near.map(|k| ((p - arms[k].0).norm_squared(), k));
+            // of equally near ones the first
+            let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            if let Some((_, k)) = nearest.filter(|(d2, _)| *d2 <= capture * capture) {
+                let (q, n) = &arms[k];
                 let turn = if rotate { q.perp(n) } else { 0.0 };
                 let jacobian = Vector3::new(n.x, n.y, turn);
                 pairs.push(Pair { measured: i, distance: n.dot(&(p - q)), weight: 0.0, jacobian });
@@ -267,9 +276,10 @@ impl System {
     fn share(&self, template: &[TemplatePoint], measured: &[ContourPoint], motion: &Motion, capture: f64) -> f64 {
         let rests: Vec<_> =
             self.pairs.iter().filter(|p| p.weight > 0.0).map(|p| measured[p.measured].position).collect();
+        let places = Buckets::new(rests.iter().copied(), capture);
         let seen = |t: &&TemplatePoint| {
             let q = motion.apply(&t.position);
-            rests.iter().any(|p| (p - q).norm_squared() <= capture * capture)
+            places.near(q, capture).any(|k| (rests[k] - q).norm_squared() <= capture * capture)
         };
         template.iter().filter(seen).count() as f64 / template.len() as f64
     }

@@ -13,6 +13,7 @@ pub struct Accumulator {
     set: PatternSet,
     white_level: u16,
     seen: u16,
+    every: usize,
     windows: Vec<Sums>,
 }
 
@@ -32,9 +33,22 @@ impl Accumulator {
     /// Errors where the set is none: no fringe, or steps outside 3..=16.
     pub fn new(set: PatternSet, white_level: u16, windows: &[Window]) -> Result<Self, Error> {
         set.check()?;
-        let mut empty = Self { set, white_level, seen: 0, windows: Vec::new() };
+        let mut empty = Self { set, white_level, seen: 0, every: 1, windows: Vec::new() };
         empty.restart(windows);
         Ok(empty)
+    }
+
+    /// Looks at every `every`-th column and row of the images only, from the first on; windows are of the image that
+    /// is left. For a camera much finer than the surface needs.
+    pub fn thin(&mut self, every: usize) {
+        self.every = every.max(1);
+    }
+
+    /// Empties the sums and turns to another `set` and `white_level`, reusing the buffers. Errors as [`Self::new`].
+    pub fn turn_to(&mut self, set: PatternSet, white_level: u16) -> Result<(), Error> {
+        set.check()?;
+        (self.set, self.white_level, self.seen) = (set, white_level, 0);
+        Ok(())
     }
 
     /// Empties the sums and turns to `windows`, reusing the buffers.
@@ -47,9 +61,8 @@ impl Accumulator {
             }
             let Sums { window: w, sums, saturated } = &mut self.windows[i];
             *w = window;
-            sums.clear();
+            // what is left in them the first image overwrites
             sums.resize(window.width * window.height, [0.0; 4]);
-            saturated.clear();
             saturated.resize(window.width * window.height, 0);
         }
     }
@@ -60,18 +73,25 @@ impl Accumulator {
         if step >= self.set.steps || self.seen >> step & 1 == 1 {
             return Err(Error::UnexpectedStep { step, steps: self.set.steps });
         }
-        let inside = |w: &Window| w.x + w.width <= image.width && w.y + w.height <= image.height;
+        let every = self.every;
+        let (columns, rows) = (image.width.div_ceil(every), image.height.div_ceil(every));
+        let inside = |w: &Window| w.x + w.width <= columns && w.y + w.height <= rows;
         if !self.windows.iter().all(|s| inside(&s.window)) {
             return Err(Error::ImageSize { width: image.width, height: image.height });
         }
+        let first = self.seen == 0;
         self.seen |= 1 << step;
         let (sin, cos) = self.set.shift(step).sin_cos();
         let (sin, cos, white) = (sin as f32, cos as f32, self.white_level);
         for Sums { window, sums, saturated } in self.windows.iter_mut().filter(|s| !s.sums.is_empty()) {
             let rows = sums.par_chunks_mut(window.width).zip(saturated.par_chunks_mut(window.width));
             rows.enumerate().for_each(|(y, (sums, saturated))| {
-                let samples = &image.row(window.y + y)[window.x..window.x + window.width];
-                for ((&sample, sums), saturated) in samples.iter().zip(sums).zip(saturated) {
+                let samples = image.row((window.y + y) * every)[window.x * every..].chunks(every);
+                for ((samples, sums), saturated) in samples.zip(sums).zip(saturated) {
+                    let sample = samples[0];
+                    if first {
+                        (*sums, *saturated) = ([0.0; 4], 0);
+                    }
                     let over = sample >= white;
                     let i = if over { 0.0 } else { f32::from(sample) };
                     *saturated |= u16::from(over) << step;
@@ -84,6 +104,11 @@ impl Accumulator {
         Ok(())
     }
 
+    /// Whether the images of all steps are there.
+    pub fn is_complete(&self) -> bool {
+        self.seen.count_ones() == self.set.steps
+    }
+
     /// The fringe set that is summed.
     pub fn set(&self) -> &PatternSet {
         &self.set
@@ -91,8 +116,8 @@ impl Accumulator {
 
     /// The sums, once every step is in them.
     pub(super) fn complete(&self) -> Result<&[Sums], Error> {
-        let got = self.seen.count_ones();
-        if got == self.set.steps { Ok(&self.windows) } else { Err(Error::Incomplete { got, steps: self.set.steps }) }
+        let (got, steps) = (self.seen.count_ones(), self.set.steps);
+        if self.is_complete() { Ok(&self.windows) } else { Err(Error::Incomplete { got, steps }) }
     }
 }
 
@@ -115,6 +140,24 @@ mod tests {
         assert!(near(sums.sums[0], [110.0, -20.0, -30.0, 3900.0]), "{:?}", sums.sums);
         assert!(near(sums.sums[1], [270.0, 247.0, -9.0, 64646.0]), "{:?}", sums.sums);
         assert_eq!(sums.saturated, [0, 0b10]);
+    }
+
+    #[test]
+    fn a_thinned_image_is_summed_as_the_image_that_is_left() {
+        let set = PatternSet::new(Axis::Column, 1, 3).expect("legal");
+        let window = Window { x: 1, y: 1, width: 2, height: 2 };
+        let whole = Image { width: 8, height: 7, pixels: (0..56).collect() };
+        let pixels = (0..12).map(|i| whole.at(i % 4 * 2, i / 4 * 2)).collect();
+        let left = Image { width: 4, height: 4, pixels: [pixels, vec![48, 50, 52, 54]].concat() };
+        let mut thinned = Accumulator::new(set, 50, &[window]).expect("legal");
+        thinned.thin(2);
+        let mut plain = Accumulator::new(set, 50, &[window]).expect("legal");
+        for step in 0..3 {
+            thinned.add(step, &whole).expect("fits");
+            plain.add(step, &left).expect("fits");
+        }
+        let (thinned, plain) = (&thinned.complete().expect("all")[0], &plain.complete().expect("all")[0]);
+        assert_eq!((&thinned.sums, &thinned.saturated), (&plain.sums, &plain.saturated));
     }
 
     #[test]

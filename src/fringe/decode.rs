@@ -86,13 +86,49 @@ pub struct PhaseMap {
 /// One map per window of `sums`. The variance propagates `noise` at each step's fitted level through the fit; with
 /// all of four steps or more it is 2σ_I²/(N·B²) with σ_I² at the mean level. Errors where steps are missing.
 pub fn decode(sums: &Accumulator, noise: &NoiseLaw, limits: &Limits) -> Result<Vec<PhaseMap>, Error> {
+    let empty = |s: &Sums| PhaseMap { set: *sums.set(), window: s.window, pixels: Vec::new() };
+    let mut maps: Vec<PhaseMap> = sums.complete()?.iter().map(empty).collect();
+    for (k, map) in maps.iter_mut().enumerate() {
+        decode_where(sums, k, noise, limits, &[], map)?;
+    }
+    Ok(maps)
+}
+
+/// As [`decode`], of window `k` alone into `map`, whose buffer is kept, and only where `wanted`, row by row: all else is
+/// left weak. An empty `wanted` wants everything. Panics if there is no such window or `wanted` is of another size.
+pub fn decode_where(
+    sums: &Accumulator,
+    k: usize,
+    noise: &NoiseLaw,
+    limits: &Limits,
+    wanted: &[bool],
+    map: &mut PhaseMap,
+) -> Result<(), Error> {
     let fits = Fits::new(*sums.set());
-    let map = |s: &Sums| {
-        let pixels = s.sums.par_iter().zip(&s.saturated).with_min_len(1024);
-        let pixels = pixels.map(|(sums, &saturated)| fits.phase(sums, saturated, noise, limits)).collect();
-        PhaseMap { set: *sums.set(), window: s.window, pixels }
+    let of = &sums.complete()?[k];
+    assert!(wanted.is_empty() || wanted.len() == of.sums.len(), "what is wanted is of another window");
+    (map.set, map.window) = (*sums.set(), of.window);
+    let all = wanted.is_empty();
+    let pixels = of.sums.par_iter().zip(&of.saturated).enumerate().with_min_len(1024);
+    let pixels = pixels.map(
+        |(i, (sums, &saturated))| {
+            if all || wanted[i] { fits.phase(sums, saturated, noise, limits) } else { Phase::NONE }
+        },
+    );
+    pixels.collect_into_vec(&mut map.pixels);
+    Ok(())
+}
+
+impl Phase {
+    /// Of a pixel that nothing is known of.
+    const NONE: Self = Self {
+        phase: f32::NAN,
+        variance: f32::NAN,
+        level: f32::NAN,
+        modulation: f32::NAN,
+        saturated: false,
+        state: State::Weak,
     };
-    Ok(sums.complete()?.iter().map(map).collect())
 }
 
 /// The least-squares fits of one set, one per mask of saturated steps, made when first met.
@@ -146,17 +182,10 @@ impl Fits {
     }
 
     fn phase(&self, sums: &[f32; 4], saturated: u16, noise: &NoiseLaw, limits: &Limits) -> Phase {
-        let nothing = Phase {
-            phase: f32::NAN,
-            variance: f32::NAN,
-            level: f32::NAN,
-            modulation: f32::NAN,
-            saturated: saturated != 0,
-            state: State::Saturated,
-        };
+        let nothing = Phase { saturated: saturated != 0, state: State::Saturated, ..Phase::NONE };
         let Some(fit) = self.fit(saturated) else { return nothing };
         let Sine { x, residual } = fit.solve(sums);
-        let (level, modulation) = (x[0], x[1].hypot(x[2]));
+        let (level, modulation) = (x[0], (x[1] * x[1] + x[2] * x[2]).sqrt()); // nothing here overflows: no `hypot`
         let seen = Phase { level: level as f32, modulation: modulation as f32, ..nothing };
 
         let one_sample = noise.variance(level);

@@ -48,6 +48,13 @@ pub fn epipolar_cells(rig: &Rig, depth: &DepthMap<'_>, across: &PhaseMap) -> Vec
     (0..columns * rows).into_par_iter().filter_map(cell).collect()
 }
 
+/// Whether [`epipolar_cells`] looks at column `x` and row `y` of `window`, both counted from its corner.
+pub fn is_sampled(window: &Window, x: usize, y: usize) -> bool {
+    let side = window.width.max(window.height).div_ceil(CELLS).max(1);
+    let stride = side.div_ceil(SAMPLES);
+    (x % side).is_multiple_of(stride) && (y % side).is_multiple_of(stride)
+}
+
 fn cell(
     rig: &Rig,
     depth: &DepthMap<'_>,

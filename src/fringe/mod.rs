@@ -15,12 +15,12 @@ mod triangulate;
 mod unwrap;
 
 pub use accumulate::Accumulator;
-pub use decode::{Limits, Phase, PhaseMap, State, decode};
-pub use epipolar::{EpipolarCell, epipolar_cells};
+pub use decode::{Limits, Phase, PhaseMap, State, decode, decode_where};
+pub use epipolar::{EpipolarCell, epipolar_cells, is_sampled};
 pub use noise::{NoiseLaw, NoiseSample, difference_samples, residual_samples};
 pub use pattern::{Axis, PatternSet};
 pub use triangulate::{Depth, DepthMap, Rays, epipolar_residual, projector_coordinate, triangulate};
-pub use unwrap::{Coordinate, CoordinateMap, unwrap};
+pub use unwrap::{Coordinate, CoordinateMap, unwrap, unwrap_reusing};
 
 /// Why fringe images give no phase at all. A pixel without phase is a [`State`], not an error.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

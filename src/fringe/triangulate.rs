@@ -69,7 +69,22 @@ pub struct Rays {
 impl Rays {
     /// The rays of `lens` through the pixels of `window`.
     pub fn new(lens: &Lens, window: Window) -> Self {
-        let mut normalised = vec![Vector2::repeat(f64::NAN); window.width * window.height];
+        let mut new = Self::empty();
+        new.renew(lens, window);
+        new
+    }
+
+    /// The rays of no pixel.
+    pub fn empty() -> Self {
+        Self { window: Window::whole(0, 0), normalised: Vec::new() }
+    }
+
+    /// Turns to the pixels of another `window`, reusing the buffer.
+    pub fn renew(&mut self, lens: &Lens, window: Window) {
+        self.window = window;
+        let normalised = &mut self.normalised;
+        normalised.clear();
+        normalised.resize(window.width * window.height, Vector2::repeat(f64::NAN));
         normalised.par_chunks_mut(window.width.max(1)).enumerate().for_each(|(y, row)| {
             let pixel = |x| Pixel::new((window.x + x) as f64, (window.y + y) as f64);
             for x in 0..row.len() {
@@ -83,12 +98,16 @@ impl Rays {
                 row[x] = found.unwrap_or(Vector2::repeat(f64::NAN));
             }
         });
-        Self { window, normalised }
     }
 
     /// The ray through image pixel (x, y), z = 1. Panics outside the window.
     pub fn at(&self, x: usize, y: usize) -> Vector3<f64> {
         self.ray(position(&self.window, x, y).expect("inside the window"))
+    }
+
+    /// The rays of pixels `range` of the window, row by row: (x, y) at z = 1.
+    pub fn part(&self, range: std::ops::Range<usize>) -> &[Vector2<f64>] {
+        &self.normalised[range]
     }
 
     fn ray(&self, i: usize) -> Vector3<f64> {
@@ -130,6 +149,11 @@ pub struct DepthMap<'a> {
 impl<'a> DepthMap<'a> {
     /// Triangulates every valid coordinate. Panics if `rays` and `coordinates` are of different windows.
     pub fn new(rig: &Rig, rays: &'a Rays, coordinates: &CoordinateMap) -> Self {
+        Self::reusing(Vec::new(), rig, rays, coordinates)
+    }
+
+    /// As [`Self::new`], in the buffer of `pixels`.
+    pub fn reusing(mut pixels: Vec<Depth>, rig: &Rig, rays: &'a Rays, coordinates: &CoordinateMap) -> Self {
         assert_eq!(rays.window, coordinates.window, "rays and coordinates of different windows");
         let axis = coordinates.axis;
         let depth = |(i, c): (usize, &super::Coordinate)| {
@@ -149,7 +173,8 @@ impl<'a> DepthMap<'a> {
                 None => Depth { state: State::NoDepth, ..invalid },
             }
         };
-        let pixels = coordinates.pixels.par_iter().enumerate().with_min_len(1024).map(depth).collect();
+        let depths = coordinates.pixels.par_iter().enumerate().with_min_len(1024).map(depth);
+        depths.collect_into_vec(&mut pixels);
         Self { rays, pixels }
     }
 

@@ -50,6 +50,17 @@ pub struct CoordinateMap {
 /// least variance. A pixel whose sets disagree by `limits.order_residual`, or are too noisy to agree, is invalid.
 /// Errors where no set has the axis, or none of them has count 1. Panics if the windows differ.
 pub fn unwrap(maps: &[PhaseMap], axis: Axis, extent: usize, limits: &Limits) -> Result<CoordinateMap, Error> {
+    unwrap_reusing(Vec::new(), maps, axis, extent, limits)
+}
+
+/// As [`unwrap`], in the buffer of `pixels`.
+pub fn unwrap_reusing(
+    mut pixels: Vec<Coordinate>,
+    maps: &[PhaseMap],
+    axis: Axis,
+    extent: usize,
+    limits: &Limits,
+) -> Result<CoordinateMap, Error> {
     let mut sets: Vec<&PhaseMap> = maps.iter().filter(|m| m.set.axis == axis).collect();
     sets.sort_by_key(|m| m.set.count);
     let (Some(first), Some(last)) = (sets.first(), sets.last()) else { return Err(Error::NoSet { axis }) };
@@ -61,7 +72,7 @@ pub fn unwrap(maps: &[PhaseMap], axis: Axis, extent: usize, limits: &Limits) -> 
     let mut map =
         CoordinateMap { axis, pitch: last.set.pitch(extent), window: first.window, pixels: Vec::new(), extent };
     let pixel = |i| coordinate(&levels, i, &map, limits.order_residual);
-    let pixels = (0..first.pixels.len()).into_par_iter().with_min_len(1024).map(pixel).collect();
+    (0..first.pixels.len()).into_par_iter().with_min_len(1024).map(pixel).collect_into_vec(&mut pixels);
     map.pixels = pixels;
     Ok(map)
 }

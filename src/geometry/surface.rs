@@ -10,7 +10,6 @@
 use super::Point3;
 use super::robust::{start, weigh};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
-use std::collections::BTreeMap;
 
 /// A right-handed local frame on the body: `u`, `v` along the surface, `w` outward (towards the camera).
 #[derive(Debug, PartialEq)]
@@ -143,9 +142,19 @@ impl Polynomial {
 
     /// Slopes ∂w/∂u, ∂w/∂v at (u, v).
     pub fn slope(&self, uv: &Vector2<f64>) -> Vector2<f64> {
-        let h = 1e-3 * self.scale; // central differences of a quartic: error of third order, below 1e-6
-        let at = |du: f64, dv: f64| self.height(&(uv + Vector2::new(du, dv)));
-        Vector2::new(at(h, 0.0) - at(-h, 0.0), at(0.0, h) - at(0.0, -h)) / (2.0 * h)
+        let m = monomials(self.order, uv.x / self.scale, uv.y / self.scale);
+        let (mut du, mut dv) = (0.0, 0.0);
+        let mut k = 1;
+        for degree in 1..=self.order {
+            let before = k - degree; // first monomial of the degree below
+            for i in 0..degree {
+                // uⁿ⁻ⁱ·vⁱ, then uⁿ⁻ⁱ⁻¹·vⁱ⁺¹ beside it
+                du += self.coefficients[k + i] * (degree - i) as f64 * m[before + i];
+                dv += self.coefficients[k + i + 1] * (i + 1) as f64 * m[before + i];
+            }
+            k += degree + 1;
+        }
+        Vector2::new(du, dv) / self.scale
     }
 
     /// Variance of the height at (u, v), mm², from the cells' noise.
@@ -308,16 +317,21 @@ fn robust_start(cells: &[Cell], order: usize) -> Option<Polynomial> {
 /// What the polynomial does not follow, rms, mm: the mean product of the residuals of neighbouring cells, which
 /// noise leaves at 0 whatever its size (Moran, Biometrika 37 (1950) 17), less twice the scatter of that mean.
 fn misfit(cells: &[Cell], weights: &[f64], polynomial: &Polynomial) -> f64 {
-    let residuals: BTreeMap<[i32; 2], (f64, f64)> = cells
+    let mut residuals: Vec<([i32; 2], f64, f64)> = cells
         .iter()
         .zip(weights)
         .filter(|(_, w)| **w > 0.0)
-        .map(|(c, _)| (c.index, (c.w - polynomial.height(&c.uv), c.variance)))
+        .map(|(c, _)| (c.index, c.w - polynomial.height(&c.uv), c.variance))
         .collect();
+    residuals.sort_unstable_by_key(|(index, ..)| *index); // as they mostly come
     let (mut products, mut scatter, mut pairs) = (0.0, 0.0, 0.0);
-    for (&[i, j], (r, variance)) in &residuals {
-        for neighbour in [[i + 1, j], [i, j + 1]] {
-            if let Some((s, other)) = residuals.get(&neighbour) {
+    let mut below = 0; // the first that is not before the neighbour in the next row
+    for (k, &([i, j], r, variance)) in residuals.iter().enumerate() {
+        while residuals.get(below).is_some_and(|(index, ..)| *index < [i + 1, j]) {
+            below += 1;
+        }
+        for (place, neighbour) in [(below, [i + 1, j]), (k + 1, [i, j + 1])] {
+            if let Some((_, s, other)) = residuals.get(place).filter(|(index, ..)| *index == neighbour) {
                 products += r * s;
                 scatter += variance * other;
                 pairs += 1.0;
@@ -358,6 +372,40 @@ mod tests {
     fn monomials_are_in_the_order_of_their_degree() {
         assert_eq!(monomials(2, 2.0, 3.0)[..6], [1.0, 2.0, 3.0, 4.0, 6.0, 9.0]);
         assert_eq!(monomials(4, 2.0, 3.0)[10..15], [16.0, 24.0, 36.0, 54.0, 81.0]);
+    }
+
+    #[test]
+    fn the_slope_is_the_heights_derivative() {
+        let mut noise = Noise::new(2);
+        for order in 0..=MAX_ORDER {
+            let coefficients: Vec<f64> = (0..terms(order)).map(|_| noise.gauss()).collect();
+            let polynomial = Polynomial::from_coefficients(40.0, &coefficients).expect("of an order");
+            let (uv, h) = (Vector2::new(13.0, -29.0), 1e-3);
+            let at = |du: f64, dv: f64| polynomial.height(&(uv + Vector2::new(du, dv)));
+            let slope = Vector2::new(at(h, 0.0) - at(-h, 0.0), at(0.0, h) - at(0.0, -h)) / (2.0 * h);
+            assert!((polynomial.slope(&uv) - slope).amax() < 1e-9, "order {order}");
+        }
+    }
+
+    #[test]
+    fn the_misfit_is_that_of_each_cell_beside_its_two_next() {
+        let mut cells = cells(|u, v| 1e-4 * u * v, 0.01);
+        let weights: Vec<f64> = (0..cells.len()).map(|k| if k % 7 < 2 { 0.0 } else { 1.0 }).collect();
+        let flat = Polynomial::from_coefficients(1.0, &[0.0]).expect("a constant");
+        let used = || cells.iter().zip(&weights).filter(|(_, w)| **w > 0.0).map(|(c, _)| c);
+        let map: std::collections::BTreeMap<_, _> = used().map(|c| (c.index, c)).collect();
+        let next = |c: &Cell| [[c.index[0] + 1, c.index[1]], [c.index[0], c.index[1] + 1]];
+        let pairs: Vec<(&Cell, &Cell)> = used()
+            .flat_map(|c| next(c).into_iter().filter_map(|n| Some((c, *map.get(&n)?))).collect::<Vec<_>>())
+            .collect();
+        let n = pairs.len() as f64;
+        let mean = pairs.iter().map(|(a, b)| a.w * b.w).sum::<f64>() / n;
+        let scatter = pairs.iter().map(|(a, b)| a.variance * b.variance).sum::<f64>();
+        let expected = (mean - 2.0 * scatter.sqrt() / n).sqrt();
+        assert!(expected > 0.02 && (misfit(&cells, &weights, &flat) / expected - 1.0).abs() < 1e-9);
+        cells.reverse();
+        let reversed: Vec<f64> = weights.iter().rev().copied().collect();
+        assert!((misfit(&cells, &reversed, &flat) / expected - 1.0).abs() < 1e-9, "in any order");
     }
 
     #[test]

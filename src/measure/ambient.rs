@@ -25,21 +25,24 @@ const SHARES: std::ops::RangeInclusive<f64> = 0.1..=10.0;
 /// `red` in grey levels with what `ambient` says of the hall's light taken off, where neither is saturated; without an
 /// ambient image `red` as it is.
 pub(super) fn without(red: &Image<u16>, ambient: Option<&Image<u16>>, camera: &Camera) -> Image<f32> {
-    let plain = |v: &u16| f32::from(*v);
-    let (width, height) = (red.width, red.height);
-    let taken = ambient.and_then(|a| Some((a, share(red, a, camera)? as f32)));
-    let pixels = match taken {
-        None => red.pixels.iter().map(plain).collect(),
-        Some((ambient, share)) => {
-            let (black, white) = (camera.black_level as f32, camera.white_level() as f32);
-            let less = |(r, a): (&u16, &u16)| {
-                let (r, a) = (f32::from(*r), f32::from(*a));
-                if r >= white || a >= white { r } else { r - share * (a - black) }
-            };
-            red.pixels.iter().zip(&ambient.pixels).map(less).collect()
-        }
+    let mut out = Image { width: 0, height: 0, pixels: Vec::new() };
+    without_into(red, ambient, camera, &mut out);
+    out
+}
+
+/// The same into an image that is used again.
+pub(super) fn without_into(red: &Image<u16>, ambient: Option<&Image<u16>>, camera: &Camera, out: &mut Image<f32>) {
+    (out.width, out.height) = (red.width, red.height);
+    out.pixels.clear();
+    let Some((ambient, share)) = ambient.and_then(|a| Some((a, share(red, a, camera)? as f32))) else {
+        out.pixels.extend(red.pixels.iter().map(|v| f32::from(*v)));
+        return;
     };
-    Image { width, height, pixels }
+    let (black, white) = (camera.black_level as f32, camera.white_level() as f32);
+    out.pixels.extend(red.pixels.iter().zip(&ambient.pixels).map(|(r, a)| {
+        let (r, a) = (f32::from(*r), f32::from(*a));
+        if r >= white || a >= white { r } else { r - share * (a - black) }
+    }));
 }
 
 /// Grey levels of `red` per grey level of `ambient` that the hall's light alone gives: the slope of one on the other

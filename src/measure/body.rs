@@ -4,12 +4,12 @@
 //! tyre or door for the body. Only the panel that carries the features counts: doors and flaps stand otherwise on each body.
 
 use crate::code::Code;
-use crate::fringe::{CoordinateMap, DepthMap, State};
+use crate::fringe::{CoordinateMap, DepthMap, Rays, State};
 use crate::geometry::{Cell, Local, Point3, Polynomial, Surface, frame};
-use crate::optics::{Lens, Pixel};
+use crate::optics::Lens;
 use crate::vehicle::PanelMask;
 use nalgebra::{Vector2, Vector3};
-use std::collections::BTreeMap;
+use rayon::prelude::*;
 
 /// A local frame and the panel about it.
 pub(crate) struct Site<'a> {
@@ -24,6 +24,7 @@ impl<'a> Site<'a> {
         Self { local, panel, hole_mm: panel.hole_mm() }
     }
 
+    /// Of the patches about it, mm.
     fn radii(&self) -> [f64; 4] {
         RADII_MM.map(|r| r + self.hole_mm)
     }
@@ -75,94 +76,177 @@ struct Sums {
     w: f64,
 }
 
-impl Sums {
-    fn add(&mut self, c: &Vector3<f64>, variance: f64) {
-        let weight = 1.0 / variance;
-        self.weight += weight;
-        self.u += weight * c.x;
-        self.v += weight * c.y;
-        self.w += weight * c.z;
+/// The sums of all cells of a patch.
+struct CellSums {
+    half: i32,
+    sums: Vec<Sums>,
+}
+
+impl CellSums {
+    /// For points as far from the origin as `reach_mm`, and as much more as a body's height over its plane can make it
+    /// look: what lies farther off is no part of the patch.
+    fn new(reach_mm: f64) -> Self {
+        let half = (1.5 * reach_mm / CELL_MM).ceil() as i32;
+        Self { half, sums: vec![Sums::default(); (4 * half * half) as usize] }
     }
 
-    fn cell(&self, index: [i32; 2]) -> Cell {
-        let n = self.weight;
-        Cell { index, uv: Vector2::new(self.u / n, self.v / n), w: self.w / n, variance: 1.0 / n }
+    fn clear(&mut self) {
+        self.sums.fill(Sums::default());
+    }
+
+    fn add(&mut self, c: &Vector3<f64>, variance: f64) {
+        let [i, j] = cell_index(&c.xy(), CELL_MM).map(|k| k + self.half);
+        let inside = 0..2 * self.half;
+        if !(inside.contains(&i) && inside.contains(&j)) {
+            return;
+        }
+        let sums = &mut self.sums[(i * 2 * self.half + j) as usize];
+        let weight = 1.0 / variance;
+        sums.weight += weight;
+        sums.u += weight * c.x;
+        sums.v += weight * c.y;
+        sums.w += weight * c.z;
+    }
+
+    /// The cells with any points, by their index.
+    fn cells(&self) -> Vec<Cell> {
+        let place = |k: i32| [k / (2 * self.half) - self.half, k % (2 * self.half) - self.half];
+        let cell = |(k, s): (i32, &Sums)| {
+            let n = s.weight;
+            let uv = Vector2::new(s.u / n, s.v / n);
+            (n > 0.0).then(|| Cell { index: place(k), uv, w: s.w / n, variance: 1.0 / n })
+        };
+        (0..).zip(&self.sums).filter_map(cell).collect()
     }
 }
 
 fn cell_index(uv: &Vector2<f64>, side: f64) -> [i32; 2] {
-    [(uv.x / side).floor() as i32, (uv.y / side).floor() as i32]
+    let floor = |v: f64| {
+        let cut = v as i32; // towards 0; a call of `floor` per pixel is what some processors have instead
+        cut - i32::from(v < f64::from(cut))
+    };
+    [floor(uv.x / side), floor(uv.y / side)]
 }
 
-/// What the pixels of a site's panel have, before there is depth.
-pub(crate) fn panel_states(map: &CoordinateMap, camera: &Lens, site: &Site<'_>, mut visit: impl FnMut(State)) {
-    let normal: Vector3<f64> = site.local.axes.column(2).into();
-    let height = normal.dot(&site.local.origin.xyz);
-    for (i, pixel) in map.pixels.iter().enumerate().step_by(5) {
-        let at = Pixel::new((map.window.x + i % map.window.width) as f64, (map.window.y + i / map.window.width) as f64);
-        let Some(ray) = camera.ray(&at) else { continue };
-        let uv = site.local.coordinates(Point3::new(ray * (height / normal.dot(&ray)))).xy();
-        if uv.norm() <= site.radii()[1] && site.panel.contains(&uv) {
-            visit(pixel.state);
+/// What the pixels of a site's panel have, before there is depth. Every fifth of them is asked.
+pub(crate) fn panel_states(
+    map: &CoordinateMap,
+    rays: &Rays,
+    camera: &Lens,
+    site: &Site<'_>,
+    mut visit: impl FnMut(State),
+) {
+    panel_pixels(rays, camera, site, site.radii()[1], |i, _, _| {
+        if i.is_multiple_of(5) {
+            visit(map.pixels[i].state);
         }
-    }
+    });
 }
 
-/// The rays of `map`'s window that meet the local plane of `site` within `reach_mm` on its panel, each with its
-/// local (u, v) there and its depth.
-fn panel_pixels(
-    map: &DepthMap<'_>,
+/// The rays that meet the local plane of `site` within `reach_mm` on its panel, each with its index in the window and
+/// its local (u, v) there.
+pub(crate) fn panel_pixels(
+    rays: &Rays,
     camera: &Lens,
     site: &Site<'_>,
     reach_mm: f64,
-    mut visit: impl FnMut(&Vector3<f64>, &Vector2<f64>, &crate::fringe::Depth),
+    mut visit: impl FnMut(usize, &Vector3<f64>, &Vector2<f64>),
 ) {
     let Some(centre) = camera.project(&site.local.origin.xyz) else { return };
-    let window = map.rays.window;
+    let window = rays.window;
     let reach = 1.3 * reach_mm * camera.fx / site.local.origin.xyz.z;
     let range = |centre: f64, first: usize, n: usize| {
         let last = (first + n) as f64;
         let from = (centre - reach).clamp(first as f64, last) as usize;
-        from..((centre + reach).clamp(first as f64, last) as usize).max(from)
+        from - first..((centre + reach).clamp(first as f64, last) as usize).max(from) - first
     };
-    let normal: Vector3<f64> = site.local.axes.column(2).into();
-    let height = normal.dot(&site.local.origin.xyz);
+    let plane = OnPlane::new(&site.local);
+    let columns = range(centre.x, window.x, window.width);
     for y in range(centre.y, window.y, window.height) {
-        for x in range(centre.x, window.x, window.width) {
-            let ray = map.rays.at(x, y);
-            let s = height / normal.dot(&ray);
-            let uv = site.local.coordinates(Point3::new(ray * s)).xy();
-            if uv.norm() <= reach_mm && site.panel.contains(&uv) {
-                visit(&ray, &uv, &map.pixels[(y - window.y) * window.width + x - window.x]);
+        let first = y * window.width + columns.start;
+        for (i, ray) in (first..).zip(rays.part(first..y * window.width + columns.end)) {
+            let uv = plane.meet(ray);
+            if uv.norm_squared() <= reach_mm * reach_mm && site.panel.contains(&uv) {
+                visit(i, &ray.push(1.0), &uv);
             }
         }
     }
 }
+
+/// Where rays meet a local plane.
+pub(crate) struct OnPlane {
+    u: Vector3<f64>,
+    v: Vector3<f64>,
+    normal: Vector3<f64>,
+    /// Of the origin, along u, v and the normal.
+    origin: Vector3<f64>,
+}
+
+impl OnPlane {
+    pub(crate) fn new(local: &Local<frame::Camera>) -> Self {
+        let [u, v, normal] = [0, 1, 2].map(|k| Vector3::from(local.axes.column(k)));
+        Self { u, v, normal, origin: local.axes.transpose() * local.origin.xyz }
+    }
+
+    /// Local (u, v), mm, where the ray (x, y, 1) meets the plane.
+    pub(crate) fn meet(&self, ray: &Vector2<f64>) -> Vector2<f64> {
+        let along = |axis: &Vector3<f64>| axis.x * ray.x + axis.y * ray.y + axis.z;
+        let s = self.origin.z / along(&self.normal);
+        Vector2::new(s * along(&self.u) - self.origin.x, s * along(&self.v) - self.origin.y)
+    }
+}
+
+/// Cells of the coarse surface to each side of its middle: more than any camera sees of a body at this distance.
+const COARSE_CELLS: i32 = 128;
 
 /// The coarse surface: a quartic over the panel about all features, in the frame of the first with the origin
 /// amid them. `None` where too little of it has depth.
 pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> Option<Surface<frame::Camera>> {
     let middle = sites.iter().map(|s| s.local.origin.xyz).sum::<Vector3<f64>>() / sites.len() as f64;
     let local = Local { origin: Point3::new(middle), axes: sites.first()?.local.axes };
-    let mut sums: BTreeMap<[i32; 2], Vec<(Vector3<f64>, f64)>> = BTreeMap::new();
-    for site in sites {
-        panel_pixels(map, camera, site, site.radii()[3], |ray, _, depth| {
+    let side = 2 * COARSE_CELLS as usize;
+    let of_site = |site: &Site<'_>| {
+        let mut points: Vec<(u32, Vector3<f64>, f64)> = Vec::new(); // cell, local coordinates, variance
+        panel_pixels(map.rays, camera, site, site.radii()[3], |i, ray, _| {
+            let depth = &map.pixels[i];
             if depth.state == State::Valid {
                 let c = local.coordinates(Point3::new(ray * f64::from(depth.z)));
-                sums.entry(cell_index(&c.xy(), COARSE_CELL_MM)).or_default().push((c, f64::from(depth.sigma).powi(2)));
+                let [i, j] = cell_index(&c.xy(), COARSE_CELL_MM).map(|k| k + COARSE_CELLS);
+                let inside = 0..2 * COARSE_CELLS;
+                if inside.contains(&i) && inside.contains(&j) {
+                    points.push((i as u32 * side as u32 + j as u32, c, f64::from(depth.sigma).powi(2)));
+                }
             }
         });
+        points
+    };
+    let points: Vec<_> = sites.par_iter().map(of_site).collect();
+    // sorted by counting: `end[k]` is where the points of cell k end
+    let mut end = vec![0u32; side * side + 1];
+    points.iter().flatten().for_each(|p| end[p.0 as usize + 1] += 1);
+    for k in 1..end.len() {
+        end[k] += end[k - 1];
     }
-    let cells: Vec<Cell> = sums
-        .iter_mut()
-        .filter(|(_, points)| points.len() >= 4)
-        .map(|(index, points)| {
+    let mut sorted = vec![(Vector3::zeros(), 0.0); end[side * side] as usize];
+    for (k, c, variance) in points.into_iter().flatten() {
+        sorted[end[k as usize] as usize] = (c, variance);
+        end[k as usize] += 1;
+    }
+    let mut cells = Vec::new();
+    let mut rest = &mut sorted[..];
+    let mut start = 0;
+    for (k, &end) in (0..).zip(&end[..side * side]) {
+        let points;
+        (points, rest) = rest.split_at_mut((end - start) as usize);
+        start = end;
+        if points.len() >= 4 {
             // the median in w, so that a few wild pixels do not move the cell
             let middle = points.len() / 2;
             let (c, variance) = *points.select_nth_unstable_by(middle, |a, b| a.0.z.total_cmp(&b.0.z)).1;
-            Cell { index: *index, uv: c.xy(), w: c.z, variance: variance + 0.05 * 0.05 }
-        })
-        .collect();
+            let index = [k / (2 * COARSE_CELLS), k % (2 * COARSE_CELLS)].map(|i| i - COARSE_CELLS);
+            cells.push(Cell { index, uv: c.xy(), w: c.z, variance: variance + 0.05 * 0.05 });
+        }
+    }
     Surface::fit(local, &cells, 4, f64::INFINITY)
 }
 
@@ -189,18 +273,19 @@ pub(crate) fn bridge(
 ) -> Option<f64> {
     let everywhere = PanelMask::new(site.panel.cell_mm, site.panel.half, |_| true);
     let flap_mm = site.hole_mm - FLAP_MARGIN_MM;
-    let mut sums: BTreeMap<[i32; 2], Sums> = BTreeMap::new();
+    let mut sums = CellSums::new(flap_mm);
     let outward: Vector3<f64> = site.local.axes.column(2).into();
     let flap = Site { local: site.local, panel: &everywhere, hole_mm: 0.0 };
-    panel_pixels(map, camera, &flap, flap_mm, |ray, _, depth| {
+    panel_pixels(map.rays, camera, &flap, flap_mm, |i, ray, _| {
+        let depth = &map.pixels[i];
         let c = site.local.coordinates(Point3::new(ray * f64::from(depth.z)));
         let w = c.z - panel.polynomial.height(&c.xy());
         if depth.state == State::Valid && w.abs() < HOLD_MM {
             let variance = (f64::from(depth.sigma) * outward.dot(ray)).powi(2);
-            sums.entry(cell_index(&c.xy(), CELL_MM)).or_default().add(&Vector3::new(c.x, c.y, w), variance);
+            sums.add(&Vector3::new(c.x, c.y, w), variance);
         }
     });
-    let cells: Vec<Cell> = sums.iter().map(|(i, s)| s.cell(*i)).collect();
+    let cells = sums.cells();
     let flap = Surface::fit(site.local, &cells, 4, flap_mm)?;
     let ring = (0..36).map(|k| {
         let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / 36.0).sin_cos();
@@ -209,57 +294,133 @@ pub(crate) fn bridge(
     Some(flap.polynomial.height(uv) - ring.sum::<f64>() / 36.0)
 }
 
-/// The patch about `site`, held to `coarse`.
-pub(crate) fn patch(
-    map: &DepthMap<'_>,
-    camera: &Lens,
-    site: &Site<'_>,
-    coarse: &Surface<frame::Camera>,
-    shape: &Shape<'_>,
-) -> Result<Patch, Code> {
-    let (mut states, mut valid) = (Vec::new(), 0usize);
-    let mut sums: BTreeMap<[i32; 2], Sums> = BTreeMap::new();
-    let mut samples = Vec::new();
-    let outward: Vector3<f64> = site.local.axes.column(2).into();
-    let radii = site.radii();
-    panel_pixels(map, camera, site, radii[3], |ray, uv, depth| {
-        let near = uv.norm() <= radii[1];
-        states.extend(near.then_some(depth.state));
-        if depth.state != State::Valid {
-            return;
-        }
-        let p = Point3::new(ray * f64::from(depth.z));
-        let c = coarse.local.coordinates(p);
-        if (c.z - coarse.polynomial.height(&c.xy())).abs() > HOLD_MM {
-            return;
-        }
-        valid += usize::from(near);
-        let c = site.local.coordinates(p);
-        let variance = (f64::from(depth.sigma) * outward.dot(ray)).powi(2);
-        sums.entry(cell_index(&c.xy(), CELL_MM)).or_default().add(&c, variance);
-        samples.push((c, variance));
-    });
-    let coverage = valid as f64 / states.len().max(1) as f64;
-    if coverage < MIN_COVERAGE {
-        return Err(why_no_depth(&states, valid));
+/// What is the same of a pixel about a feature in every pass.
+#[derive(Clone, Copy)]
+struct Sample {
+    /// (x, y, 1).
+    ray: Vector2<f64>,
+    z: f32,
+    sigma: f32,
+    state: State,
+    /// Whether it lies on the coarse surface.
+    held: bool,
+}
+
+/// The pixels about a feature, taken once for all passes.
+pub(crate) struct Samples(Vec<Sample>);
+
+impl Samples {
+    /// Those on the panel of `site` within `reach_mm`: with a grown panel and a longer reach than the widest patch's, what
+    /// a site that stands otherwise can ask for.
+    pub(crate) fn new(
+        map: &DepthMap<'_>,
+        camera: &Lens,
+        site: &Site<'_>,
+        reach_mm: f64,
+        coarse: &Surface<frame::Camera>,
+    ) -> Self {
+        let mut samples = Vec::new();
+        panel_pixels(map.rays, camera, site, reach_mm, |i, ray, _| {
+            let depth = &map.pixels[i];
+            let held = depth.state == State::Valid && {
+                let c = coarse.local.coordinates(Point3::new(ray * f64::from(depth.z)));
+                (c.z - coarse.polynomial.height(&c.xy())).abs() <= HOLD_MM
+            };
+            samples.push(Sample { ray: ray.xy(), z: depth.z, sigma: depth.sigma, state: depth.state, held });
+        });
+        Self(samples)
     }
-    let cells = |sums: &BTreeMap<[i32; 2], Sums>| sums.iter().map(|(i, s)| s.cell(*i)).collect::<Vec<_>>();
-    let fit = |cells: &[Cell]| match shape {
-        Shape::Smooth(at) => Surface::choose(site.local, cells, ORDERS, &radii, at),
-        Shape::Taught(shape, radius_mm) => Surface::fit_shape(site.local, cells, shape, *radius_mm),
-    };
-    let first = fit(&cells(&sums)).ok_or(Code::CoverageLow)?;
-    // once more without the pixels that stand out: edge pixels that mix two depths, fringe orders gone wrong
-    sums.clear();
-    for (c, variance) in &samples {
-        let off = c.z - first.polynomial.height(&c.xy());
-        if off * off < 16.0 * variance + 0.15 * 0.15 {
-            sums.entry(cell_index(&c.xy(), CELL_MM)).or_default().add(c, *variance);
+
+    /// The patch about `site`.
+    pub(crate) fn patch(&self, site: &Site<'_>, shape: &Shape<'_>) -> Result<Patch, Code> {
+        let (mut states, mut valid) = (Vec::new(), 0usize);
+        let radii = site.radii();
+        let mut sums = CellSums::new(radii[3]);
+        let mut used = Vec::new();
+        let outward: Vector3<f64> = site.local.axes.column(2).into();
+        let plane = OnPlane::new(&site.local);
+        for sample in &self.0 {
+            let uv = plane.meet(&sample.ray);
+            let square = uv.norm_squared();
+            if square > radii[3] * radii[3] || !site.panel.contains(&uv) {
+                continue;
+            }
+            let near = square <= radii[1] * radii[1];
+            states.extend(near.then_some(sample.state));
+            if !sample.held {
+                continue;
+            }
+            valid += usize::from(near);
+            let ray = sample.ray.push(1.0);
+            let c = site.local.coordinates(Point3::new(ray * f64::from(sample.z)));
+            let variance = (f64::from(sample.sigma) * outward.dot(&ray)).powi(2);
+            sums.add(&c, variance);
+            used.push((c, variance));
+        }
+        let coverage = valid as f64 / states.len().max(1) as f64;
+        if coverage < MIN_COVERAGE {
+            return Err(why_no_depth(&states, valid));
+        }
+        let fit = |cells: &[Cell]| match shape {
+            Shape::Smooth(at) => Surface::choose(site.local, cells, ORDERS, &radii, at),
+            Shape::Taught(shape, radius_mm) => Surface::fit_shape(site.local, cells, shape, *radius_mm),
+        };
+        let first = fit(&sums.cells()).ok_or(Code::CoverageLow)?;
+        // once more without the pixels that stand out: edge pixels that mix two depths, fringe orders gone wrong
+        sums.clear();
+        for (c, variance) in &used {
+            let off = c.z - first.polynomial.height(&c.xy());
+            if off * off < 16.0 * variance + 0.15 * 0.15 {
+                sums.add(c, *variance);
+            }
+        }
+        let surface = fit(&sums.cells()).ok_or(Code::CoverageLow)?;
+        if surface.misfit_mm > MAX_MISFIT_MM {
+            return Err(Code::NotSmooth);
+        }
+        Ok(Patch { surface, coverage })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::Noise;
+    use std::collections::BTreeMap;
+
+    #[test]
+    fn sums_in_a_grid_are_those_of_a_map_of_cells() {
+        let mut noise = Noise::new(6);
+        let (mut grid, mut map) = (CellSums::new(30.0), BTreeMap::<[i32; 2], [f64; 4]>::new());
+        for _ in 0..3000 {
+            let c = Vector3::new(12.0 * noise.gauss(), 12.0 * noise.gauss(), noise.gauss());
+            let variance = 0.5 + noise.gauss().abs();
+            grid.add(&c, variance);
+            let index = [(c.x / CELL_MM).floor() as i32, (c.y / CELL_MM).floor() as i32];
+            let sums = map.entry(index).or_default();
+            for (sum, term) in sums.iter_mut().zip([1.0, c.x, c.y, c.z]) {
+                *sum += term / variance;
+            }
+        }
+        let beyond = |index: &[i32; 2]| index.iter().any(|k| !(-15..15).contains(k));
+        map.retain(|index, _| !beyond(index));
+        let cells = grid.cells();
+        assert_eq!(cells.iter().map(|c| c.index).collect::<Vec<_>>(), map.keys().copied().collect::<Vec<_>>());
+        for (cell, [n, u, v, w]) in cells.iter().zip(map.values()) {
+            let off = [cell.uv.x - u / n, cell.uv.y - v / n, cell.w - w / n, cell.variance - 1.0 / n];
+            assert!(off.iter().all(|d| d.abs() < 1e-12), "{cell:?}");
+        }
+        grid.clear();
+        assert!(grid.cells().is_empty());
+    }
+
+    #[test]
+    fn rays_meet_the_plane_where_geometry_says() {
+        let axes = nalgebra::Rotation3::from_euler_angles(3.0, 0.2, -0.1).into_inner();
+        let local = Local { origin: Point3::new(Vector3::new(-150.0, 120.0, 790.0)), axes };
+        for uv in [Vector2::new(40.0, -70.0), Vector2::zeros()] {
+            let p = local.point(&uv.push(0.0)).xyz;
+            assert!((OnPlane::new(&local).meet(&(p.xy() / p.z)) - uv).amax() < 1e-9);
         }
     }
-    let surface = fit(&cells(&sums)).ok_or(Code::CoverageLow)?;
-    if surface.misfit_mm > MAX_MISFIT_MM {
-        return Err(Code::NotSmooth);
-    }
-    Ok(Patch { surface, coverage })
 }

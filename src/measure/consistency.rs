@@ -13,6 +13,7 @@ use crate::code::Code;
 use crate::fringe::{CoordinateMap, EpipolarCell, State};
 use crate::geometry::robust;
 use nalgebra::Matrix6;
+use rayon::prelude::*;
 
 /// Share of pixels of the panels whose fringe images may contradict each other.
 const MAX_CONTRADICTORY: f64 = 0.3;
@@ -25,14 +26,17 @@ impl Run<'_, '_> {
     /// Fringe images of a still body under steady light are samples of a sine almost everywhere on the panel. Where
     /// they are not, what passes the checks by chance is wrong too.
     pub(super) fn contradictory(&self, coordinates: &CoordinateMap, sites: &[Site<'_>]) -> Option<Refused> {
-        let rig = &self.cycle.measurer.calibration.rig;
-        let (mut usable, mut against) = (0usize, 0usize);
-        for site in sites {
-            body::panel_states(coordinates, &rig.camera, site, |state| {
+        let camera = &self.cycle.measurer.depth_rig.camera;
+        let count = |site: &Site<'_>| {
+            let (mut usable, mut against) = (0usize, 0usize);
+            body::panel_states(coordinates, &self.cycle.buffers.rays, camera, site, |state| {
                 usable += usize::from(matches!(state, State::Valid | State::NotSine | State::WrongOrder));
                 against += usize::from(matches!(state, State::NotSine | State::WrongOrder));
             });
-        }
+            (usable, against)
+        };
+        let sum = |a: (usize, usize), b: (usize, usize)| (a.0 + b.0, a.1 + b.1);
+        let (usable, against) = sites.par_iter().map(count).reduce(Default::default, sum);
         let share = against as f64 / usable.max(1) as f64;
         (share > MAX_CONTRADICTORY).then(|| {
             let detail = format!(
@@ -48,7 +52,7 @@ impl Run<'_, '_> {
     pub(super) fn epipolar(&self, sites: &[Site<'_>]) -> Option<Refused> {
         let m = self.cycle.measurer;
         let residual = |site: &Site<'_>| {
-            let w = about(m, &site.local.origin.xyz, body::REACH_MM)?;
+            let w = about(&m.calibration.rig.camera, &site.local.origin.xyz, body::REACH_MM)?;
             let inside = |c: &&EpipolarCell| {
                 let (x, y) = (c.pixel.x - w.x as f64, c.pixel.y - w.y as f64);
                 (0.0..w.width as f64).contains(&x) && (0.0..w.height as f64).contains(&y)

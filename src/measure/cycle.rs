@@ -3,9 +3,9 @@
 //! where stages end. No state from one vehicle to the next.
 
 use super::ambient;
-use super::body::{self, Patch, Shape, Site};
-use super::depth::{BodyDepth, Decoded, red_noise};
-use super::edges;
+use super::body::{self, OnPlane, Samples, Shape, Site};
+use super::depth::{BodyDepth, Decoded, red_noise, stated_red_noise};
+use super::edges::{EdgeRay, edge_rays};
 use super::judge::{self, Evidence, Judged, Refused};
 use super::light::{Light, saturated_share};
 use super::locate::{Located, locate};
@@ -14,12 +14,13 @@ use super::regions::{self, Region};
 use super::{Drawing, Measurement, Measurer, TYPICAL_DISTANCE_MM};
 use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
-use crate::fringe::{self, Axis, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
+use crate::fringe::{self, Axis, Coordinate, Depth, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
 use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
 use crate::image::{Image, Window};
-use crate::optics::Pixel;
+use crate::optics::{Lens, Pixel};
 use crate::vehicle::Class;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
+use rayon::prelude::*;
 
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
 
@@ -40,8 +41,12 @@ pub enum Stage {
     Pose,
 }
 
-/// Regions are decoded this much wider than the widest patch, mm: for the first pose's error.
-const REGION_MARGIN_MM: f64 = 10.0;
+/// Regions are decoded this much wider than the widest patch and than the panel, mm: for the first pose's error.
+pub(super) const MARGIN_MM: f64 = 10.0;
+/// What of that a pose from depth may use up; the passes that follow move it no farther than the rest.
+const MARGIN_USED_MM: f64 = 7.0;
+/// Edges are found this much wider before there is depth, mm; and once more where that was too little.
+const EDGE_MARGIN_MM: f64 = 5.0;
 /// Passes over all features; the pose is still by then.
 const MAX_PASSES: usize = 6;
 /// Rotation (rad) and translation (mm) below which a pass has changed nothing.
@@ -66,17 +71,50 @@ const UNKNOWN_GROWTH_MM: f64 = 0.08;
 /// Share of a region's pixels that may be saturated in the red image.
 const MAX_SATURATED: f64 = 0.25;
 
+/// What is as large as an image or its regions and is used again for the next vehicle.
+pub(super) struct Buffers {
+    red: Image<f32>,
+    /// Of the pixels that depth is looked for in.
+    pub(super) rays: Rays,
+    wanted: Vec<bool>,
+    fringes: Fringes,
+    coordinates: Vec<Coordinate>,
+    depths: Vec<Depth>,
+}
+
+impl Default for Buffers {
+    fn default() -> Self {
+        Self {
+            red: Image::filled(0, 0, 0.0),
+            rays: Rays::empty(),
+            wanted: Vec::new(),
+            fringes: Fringes::none(),
+            coordinates: Vec::new(),
+            depths: Vec::new(),
+        }
+    }
+}
+
 /// A measurement in progress.
 pub struct Cycle<'a> {
     pub(super) measurer: &'a Measurer,
     pub(super) capture: &'a Capture,
-    pub(super) red: Image<f32>,
+    pub(super) buffers: Buffers,
     pub(super) red_saturated: Vec<f64>,
     pub(super) regions: Vec<Result<Region, Code>>,
     pub(super) first_pose: Option<CameraFromVehicle>,
     pub(super) light: Light,
-    pub(super) fringes: Fringes,
+    /// Where edges were looked for before there was depth, and the edges; nowhere where their noise was not known.
+    early_edges: Option<(Vec<Window>, Vec<Vec<EdgeRay>>)>,
     pub(super) moved: bool,
+}
+
+impl Drop for Cycle<'_> {
+    fn drop(&mut self) {
+        let mut buffers = std::mem::take(&mut self.buffers);
+        buffers.wanted = buffers.fringes.take_wanted();
+        self.measurer.keep(buffers);
+    }
 }
 
 impl<'a> Cycle<'a> {
@@ -88,24 +126,38 @@ impl<'a> Cycle<'a> {
         ambient: Option<&Image<u16>>,
     ) -> Self {
         let camera = &measurer.calibration.rig.camera;
-        let as_f32 = ambient::without(red, ambient, &capture.camera);
-        let mut regions = regions::find(&as_f32, camera, &measurer.templates);
+        let mut buffers = measurer.buffers();
+        let Buffers { red: as_f32, rays, wanted, fringes, .. } = &mut buffers;
+        ambient::without_into(red, ambient, &capture.camera, as_f32);
+        let mut regions = regions::find(as_f32, camera, &measurer.templates);
         let first_pose = regions::first_pose(camera, &measurer.templates, &mut regions);
-        let windows = first_pose.map(|pose| region_windows(measurer, &pose)).unwrap_or_default();
+        let window = first_pose.and_then(|pose| depth_window(measurer, &pose)).unwrap_or(Window::whole(1, 1));
+        rays.renew(&measurer.depth_rig.camera, window);
+        wanted.clear();
+        if let Some(pose) = first_pose {
+            want(measurer, &pose, rays, wanted);
+        }
         let white = capture.camera.white_level();
         let red_saturated = measurer
             .templates
             .iter()
             .map(|t| first_pose.map_or(0.0, |pose| saturated_share(red, white, camera, &t.local(&pose).origin.xyz)))
             .collect();
-        let light = Light::new(&as_f32, capture.camera.black_level);
-        let fringes = Fringes::new(capture, bounding(&windows).unwrap_or(Window::whole(1, 1)), None);
-        Self { measurer, capture, red: as_f32, red_saturated, regions, first_pose, light, fringes, moved: false }
+        let light = Light::new(as_f32, capture.camera.black_level);
+        let early_edges = first_pose.and_then(|pose| {
+            let noise = stated_red_noise(capture)?;
+            let windows = contour_windows(measurer, &pose, EDGE_MARGIN_MM);
+            let edges = edge_rays(as_f32, &windows, &noise, camera);
+            Some((windows, edges))
+        });
+        let (spare, wanted) = (std::mem::replace(fringes, Fringes::none()), std::mem::take(wanted));
+        *fringes = Fringes::as_they_come(spare, capture, window, measurer.every, wanted);
+        Self { measurer, capture, buffers, red_saturated, regions, first_pose, light, early_edges, moved: false }
     }
 
     /// Takes image `step` of fringe set `set`, in any order.
     pub fn add_fringe(&mut self, set: usize, step: u32, image: &Image<u16>) -> Result<(), fringe::Error> {
-        self.fringes.add(set, step, image)
+        self.buffers.fringes.add(set, step, image)
     }
 
     /// Takes `repeat`, the first fringe image once more at the end: where it differs from `first` by more than noise
@@ -118,7 +170,9 @@ impl<'a> Cycle<'a> {
         let gain = self.capture.fringes.first().and_then(|f| f.gain_dn_per_e).unwrap_or(TYPICAL_GAIN);
         let camera = &self.capture.camera;
         let noise = NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level);
-        let Some(motion) = Motion::between(first, repeat, self.fringes.window, camera.white_level(), &noise) else {
+        let Some(motion) =
+            Motion::between(first, repeat, self.buffers.fringes.in_image(first), camera.white_level(), &noise)
+        else {
             return false;
         };
         let mm = motion.px * TYPICAL_DISTANCE_MM / self.measurer.calibration.rig.camera.fx;
@@ -126,7 +180,10 @@ impl<'a> Cycle<'a> {
     }
 
     /// The measurement. `ended` is told when each stage has ended.
-    pub fn finish(self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
+    pub fn finish(mut self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
+        let mut depths = std::mem::take(&mut self.buffers.depths);
+        let pixels = std::mem::take(&mut self.buffers.coordinates);
+        let mut decoded = Decoded::wanted(pixels, &mut self.buffers.fringes, self.capture);
         let mut run = Run {
             cycle: &self,
             located: Vec::new(),
@@ -135,7 +192,7 @@ impl<'a> Cycle<'a> {
             axis: Axis::Column,
             cells: Vec::new(),
         };
-        let outcome = run.pose(ended);
+        let outcome = run.pose(decoded.as_mut(), &mut depths, ended);
         let health = run.health();
         let outcome = match &health {
             Some(health) => outcome.and_then(|judged| run.with_health(judged, health)),
@@ -145,7 +202,12 @@ impl<'a> Cycle<'a> {
         measurement.calibration_health = health;
         ended(Stage::Pose);
         measurement.station = self.measurer.station();
-        (measurement, run.drawing())
+        let drawing = run.drawing();
+        if let Ok(decoded) = decoded {
+            decoded.give_back(&mut self.buffers.fringes, &mut self.buffers.coordinates);
+        }
+        self.buffers.depths = depths;
+        (measurement, drawing)
     }
 }
 
@@ -161,13 +223,18 @@ pub(super) struct Run<'c, 'a> {
     pub(super) cells: Vec<EpipolarCell>,
 }
 
-impl Run<'_, '_> {
+impl<'c> Run<'c, '_> {
     pub(super) fn refuse(code: Code, detail: impl Into<String>) -> Refused {
         Refused { code, detail: detail.into(), distance_deviation_mm: None }
     }
 
     /// Regions, depth, features, pose: each pass finds the features with the pose of the one before.
-    fn pose(&mut self, ended: &mut dyn FnMut(Stage)) -> Result<Judged, Refused> {
+    fn pose(
+        &mut self,
+        decoded: Result<&mut Decoded, &mut fringe::Error>,
+        depths: &mut Vec<Depth>,
+        ended: &mut dyn FnMut(Stage),
+    ) -> Result<Judged, Refused> {
         let c = self.cycle;
         if c.moved {
             let detail = "The repeated fringe image differs from the first by more than noise.";
@@ -182,66 +249,72 @@ impl Run<'_, '_> {
             );
             return Err(Self::refuse(Code::TooDark, detail));
         }
-        let (rig, templates) = (&c.measurer.calibration.rig, &c.measurer.templates);
+        let (m, templates) = (c.measurer, &c.measurer.templates);
         self.located = c.regions.iter().map(|r| Err(r.err().unwrap_or(Code::TooFewFeatures))).collect();
         let found = c.regions.iter().filter(|r| r.is_ok()).count();
         let Some(first) = c.first_pose.filter(|_| found >= 2) else { return Err(self.too_few()) };
-        let Decoded { mut coordinates, across, noise } =
-            Decoded::new(&c.fringes, c.capture).map_err(|e| Self::refuse(Code::PhaseAmbiguity, e.to_string()))?;
-        let rays = Rays::new(&rig.camera, c.fringes.window);
+        let ambiguous = |e: &mut fringe::Error| Self::refuse(Code::PhaseAmbiguity, e.to_string());
+        let decoded = decoded.map_err(ambiguous)?;
+        let red_noise = red_noise(c.capture, &decoded.noise);
         ended(Stage::Decode);
 
-        let far = sites(templates, &c.measurer.far_masks, &first);
-        let body = BodyDepth::new(rig, &rays, &mut coordinates, &far);
-        let Some(body) = body else {
-            let states: Vec<State> = coordinates.pixels.iter().map(|c| c.state).collect();
-            let usable = states.iter().filter(|s| **s == State::Valid).count();
-            let code = body::why_no_depth(&states, usable);
-            for located in self.located.iter_mut().filter(|l| matches!(l, Err(Code::TooFewFeatures))) {
-                *located = Err(code);
-            }
-            return Err(Self::refuse(code, "Too little of the body has depth to find its surface."));
-        };
-        self.axis = coordinates.axis;
-        if let Some(across) = &across {
-            self.cells = epipolar_cells(rig, &body.map, across);
-        }
-        let refused = self.contradictory(&coordinates, &far).or_else(|| self.epipolar(&far));
-        if let Some(refused) = refused {
-            self.located.clear(); // no feature is to blame
-            return Err(refused);
-        }
+        let far = sites(templates, &m.far_masks, &first);
+        let mut body = self.depth(decoded, depths, &far)?;
         let mut pose = self.second_pose(&body.coarse).unwrap_or(first);
+        if !within(&pose, &first, m, MARGIN_USED_MM) {
+            // regions were decoded about another place: once more, everywhere
+            *depths = body.map.pixels;
+            *decoded = Decoded::new(&c.buffers.fringes, c.capture).map_err(|mut e| ambiguous(&mut e))?;
+            body = self.depth(decoded, depths, &far)?;
+            pose = self.second_pose(&body.coarse).unwrap_or(first);
+        }
         ended(Stage::Surface);
+        let outcome = self.on_body(&body, pose, &red_noise, ended);
+        *depths = body.map.pixels;
+        outcome
+    }
 
-        let red_noise = red_noise(c.capture, &noise);
-        let (plain, level) = edges::without_glints(&c.red);
-        let windows = contour_windows(c.measurer, &pose);
-        let rays = edges::edge_rays(&plain, &level, &windows, &red_noise, &rig.camera);
+    /// The pose of the features on `body`, found from a `pose` near it.
+    fn on_body(
+        &mut self,
+        body: &BodyDepth<'_>,
+        mut pose: CameraFromVehicle,
+        red_noise: &NoiseLaw,
+        ended: &mut dyn FnMut(Stage),
+    ) -> Result<Judged, Refused> {
+        let c = self.cycle;
+        let (m, rig, templates) = (c.measurer, &c.measurer.calibration.rig, &c.measurer.templates);
+        let rays = self.edges(&contour_windows(m, &pose, 0.0), red_noise);
+        let mut samples = self.samples(body, &pose);
+        let mut sampled_at = pose;
         for pass in 0..MAX_PASSES {
+            if !within(&pose, &sampled_at, m, MARGIN_MM) {
+                (samples, sampled_at) = (self.samples(body, &pose), pose);
+            }
             let capture = if pass == 0 { CAPTURE_MM.0 } else { CAPTURE_MM.1 };
-            let masks = if pass == 0 { &c.measurer.far_masks } else { &c.measurer.near_masks };
+            let masks = if pass == 0 { &m.far_masks } else { &m.near_masks };
             let sites = sites(templates, masks, &pose);
-            let mut coverage = 1f64;
-            let mut locate = |k: usize, growth_mm: Option<f64>| {
+            let found = |k: usize| {
                 if c.red_saturated[k] > MAX_SATURATED {
-                    return Err(Code::Saturated);
+                    return (1.0, Err(Code::Saturated));
                 }
                 // a region that was not found may still be where the others' pose expects it
-                let patch = self.patch(&body, &sites[k], k)?;
-                coverage = coverage.min(patch.coverage);
-                locate(&templates[k], &c.measurer.surfaces[k], &patch, &rays, capture, growth_mm, (rig, self.axis))
-                    .map_err(|code| c.regions[k].err().unwrap_or(code))
+                let shape = Shape::Taught(&m.surfaces[k], templates[k].surface.radius_mm);
+                let patch = match samples[k].patch(&sites[k], &shape) {
+                    Ok(patch) => patch,
+                    Err(code) => return (1.0, Err(code)),
+                };
+                let located = locate(&templates[k], &m.surfaces[k], &patch, &rays, capture, (rig, self.axis))
+                    .map_err(|code| c.regions[k].err().unwrap_or(code));
+                (patch.coverage, located)
             };
-            // the flap's opening first: it tells how much paint and light have done to edges
-            let opening = c.measurer.vehicle.features.iter().position(|f| f.class == Class::Point3);
-            let seen = opening.map(|k| locate(k, None));
-            let growth = seen.as_ref().and_then(|l| l.as_ref().ok()).map_or(UNKNOWN_GROWTH_MM, |l| l.growth_mm);
-            let rest =
-                (0..templates.len()).map(|k| if Some(k) == opening { None } else { Some(locate(k, Some(growth))) });
-            let rest: Vec<_> = rest.collect();
-            self.located = rest.into_iter().map(|l| l.or_else(|| seen.clone()).expect("either")).collect();
-            self.coverage = Some(coverage);
+            let found: Vec<_> = (0..templates.len()).into_par_iter().map(found).collect();
+            self.coverage = Some(found.iter().map(|(coverage, _)| *coverage).fold(1.0, f64::min));
+            self.located = found.into_iter().map(|(_, located)| located).collect();
+            // the flap's opening tells how much paint and light have done to all edges
+            let opening = m.vehicle.features.iter().position(|f| f.class == Class::Point3);
+            let growth = opening.and_then(|k| self.located[k].as_ref().ok()).map_or(UNKNOWN_GROWTH_MM, |l| l.growth_mm);
+            self.located.iter_mut().flatten().for_each(|l| l.growth_mm = growth);
             let evidence = self.evidence();
             if evidence.len() < 3 {
                 ended(Stage::Contour);
@@ -257,14 +330,74 @@ impl Run<'_, '_> {
         }
         self.pose = Some(pose);
         ended(Stage::Contour);
-        judge::judge(&self.evidence(), &pose, &c.measurer.vehicle)
+        judge::judge(&self.evidence(), &pose, &m.vehicle)
     }
 
-    /// The patch about feature `k`, best at its point and along its contour.
-    fn patch(&self, body: &BodyDepth<'_>, site: &Site<'_>, k: usize) -> Result<Patch, Code> {
+    /// Depth of the body about the `far` sites, and what the fringes say of themselves and of the calibration.
+    fn depth(
+        &mut self,
+        decoded: &mut Decoded,
+        depths: &mut Vec<Depth>,
+        far: &[Site<'_>],
+    ) -> Result<BodyDepth<'c>, Refused> {
         let c = self.cycle;
-        let shape = Shape::Taught(&c.measurer.surfaces[k], c.measurer.templates[k].surface.radius_mm);
-        body::patch(&body.map, &c.measurer.calibration.rig.camera, site, &body.coarse, &shape)
+        let m = c.measurer;
+        let body = BodyDepth::new(depths, &m.depth_rig, &c.buffers.rays, &mut decoded.coordinates, far);
+        let coordinates = &decoded.coordinates;
+        let Some(body) = body else {
+            let wanted = c.buffers.fringes.wanted();
+            let looked_at = coordinates.pixels.iter().zip(wanted).filter(|(_, wanted)| **wanted);
+            let states: Vec<State> = looked_at.map(|(c, _)| c.state).collect();
+            let usable = states.iter().filter(|s| **s == State::Valid).count();
+            let code = body::why_no_depth(&states, usable);
+            for located in self.located.iter_mut().filter(|l| matches!(l, Err(Code::TooFewFeatures))) {
+                *located = Err(code);
+            }
+            return Err(Self::refuse(code, "Too little of the body has depth to find its surface."));
+        };
+        self.axis = coordinates.axis;
+        if let Some(across) = decoded.across() {
+            self.cells = epipolar_cells(&m.depth_rig, &body.map, across);
+            self.cells.iter_mut().for_each(|cell| cell.pixel *= m.every as f64);
+        }
+        let refused = self.contradictory(coordinates, far).or_else(|| self.epipolar(far));
+        if let Some(refused) = refused {
+            self.located.clear(); // no feature is to blame
+            *depths = body.map.pixels;
+            return Err(refused);
+        }
+        Ok(body)
+    }
+
+    /// The edges in `windows`; those in two of them twice.
+    fn edges(&self, windows: &[Window], noise: &NoiseLaw) -> Vec<EdgeRay> {
+        let c = self.cycle;
+        let holds = |(a, b): (&Window, &Window)| {
+            a.x <= b.x && a.y <= b.y && a.x + a.width >= b.x + b.width && a.y + a.height >= b.y + b.height
+        };
+        let early = c.early_edges.as_ref().filter(|(early, _)| early.len() == windows.len());
+        let Some((_, edges)) = early.filter(|(early, _)| early.iter().zip(windows).all(holds)) else {
+            return edge_rays(&c.buffers.red, windows, noise, &c.measurer.calibration.rig.camera).concat();
+        };
+        let inside = |(edges, w): (&Vec<EdgeRay>, &Window)| {
+            let (from, to) = (Pixel::new(w.x as f64, w.y as f64), Pixel::new(w.width as f64, w.height as f64));
+            let inside = move |e: &&EdgeRay| {
+                let p = e.edgel.position - from;
+                p.x > 0.5 && p.y > 0.5 && p.x < to.x - 1.5 && p.y < to.y - 1.5
+            };
+            edges.iter().filter(inside).copied().collect::<Vec<_>>()
+        };
+        edges.iter().zip(windows).flat_map(inside).collect()
+    }
+
+    /// The pixels about each feature of a vehicle that stands near `pose`.
+    fn samples(&self, body: &BodyDepth<'_>, pose: &CameraFromVehicle) -> Vec<Samples> {
+        let m = self.cycle.measurer;
+        let sites = sites(&m.templates, &m.grown_masks, pose);
+        let about = |(site, t): (&Site<'_>, &crate::vehicle::Template)| {
+            Samples::new(&body.map, &m.depth_rig.camera, site, reach(t), &body.coarse)
+        };
+        sites.par_iter().zip(&m.templates).map(about).collect()
     }
 
     fn too_few(&self) -> Refused {
@@ -282,7 +415,8 @@ impl Run<'_, '_> {
             _ => Code::TooFewFeatures,
         };
         let contours = codes.iter().all(|c| (401..=406).contains(&c.number()));
-        if let Some(blur) = self.cycle.light.blur_px.filter(|blur| contours && *blur > MAX_BLUR_PX) {
+        let blur = || self.cycle.light.blur_px(&self.cycle.buffers.red).filter(|blur| *blur > MAX_BLUR_PX);
+        if let Some(blur) = contours.then(blur).flatten() {
             let detail = format!(
                 "Its sharpest edges are blurred by {blur:.1} px, allowed {MAX_BLUR_PX} px. {}.",
                 reasons.join(", ")
@@ -340,30 +474,57 @@ pub(super) fn sites<'m>(
     templates.iter().zip(masks).map(|(t, panel)| Site::new(t.local(pose), panel)).collect()
 }
 
-pub(super) fn about(measurer: &Measurer, centre: &Vector3<f64>, half_mm: f64) -> Option<Window> {
-    let camera = &measurer.calibration.rig.camera;
+pub(super) fn about(camera: &Lens, centre: &Vector3<f64>, half_mm: f64) -> Option<Window> {
     let p: Pixel = camera.project(centre)?;
     let half = half_mm * camera.fx / centre.z;
     Window::clipped(p.x - half, p.y - half, p.x + half, p.y + half, camera.width, camera.height)
 }
 
-/// The regions to decode.
-fn region_windows(m: &Measurer, pose: &CameraFromVehicle) -> Vec<Window> {
-    let reach = |t: &crate::vehicle::Template| t.panel.hole_mm() + body::REACH_MM + REGION_MARGIN_MM;
-    m.templates.iter().filter_map(|t| about(m, &t.local(pose).origin.xyz, reach(t))).collect()
+/// How far from a feature depth is wanted, mm: masks less a margin begin that much farther out.
+fn reach(t: &crate::vehicle::Template) -> f64 {
+    t.panel.hole_mm() + EROSION_MM.0 + body::REACH_MM + MARGIN_MM
 }
 
-/// The regions to find edges in.
-pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle) -> Vec<Window> {
-    let reach = |t: &crate::vehicle::Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
-    m.templates.iter().filter_map(|t| about(m, &t.local(pose).origin.xyz, reach(t) + 2.0 * CAPTURE_MM.0)).collect()
-}
-
-fn bounding(windows: &[Window]) -> Option<Window> {
-    windows.iter().copied().reduce(|a, b| {
+/// What of the thinned images depth is looked for in.
+fn depth_window(m: &Measurer, pose: &CameraFromVehicle) -> Option<Window> {
+    let region = |t| about(&m.depth_rig.camera, &crate::vehicle::Template::local(t, pose).origin.xyz, reach(t));
+    let regions = m.templates.iter().filter_map(region);
+    regions.reduce(|a, b| {
         let (x, y) = (a.x.min(b.x), a.y.min(b.y));
         let right = (a.x + a.width).max(b.x + b.width);
         let bottom = (a.y + a.height).max(b.y + b.height);
         Window { x, y, width: right - x, height: bottom - y }
     })
+}
+
+/// Which pixels of the window are worth decoding: the panel about the features of a vehicle near `pose`, and those that
+/// the calibration's health is told from.
+fn want(m: &Measurer, pose: &CameraFromVehicle, rays: &Rays, wanted: &mut Vec<bool>) {
+    let Window { width, height, .. } = rays.window;
+    wanted.extend((0..width * height).map(|i| fringe::is_sampled(&rays.window, i % width, i / width)));
+    for (site, template) in sites(&m.templates, &m.grown_masks, pose).iter().zip(&m.templates) {
+        body::panel_pixels(rays, &m.depth_rig.camera, site, reach(template), |i, _, _| wanted[i] = true);
+    }
+}
+
+/// Whether every place about a feature of a vehicle at `pose` is, as the camera sees it, within `margin_mm` of where a
+/// vehicle at `guess` has it.
+fn within(pose: &CameraFromVehicle, guess: &CameraFromVehicle, m: &Measurer, margin_mm: f64) -> bool {
+    m.templates.iter().all(|t| {
+        let (local, plane) = (t.local(pose), OnPlane::new(&t.local(guess)));
+        (0..8).all(|k| {
+            let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_4).sin_cos();
+            let uv = Vector2::new(cos, sin) * reach(t);
+            let p = local.point(&uv.push(0.0)).xyz;
+            p.z > 0.0 && (plane.meet(&(p.xy() / p.z)) - uv).norm() <= margin_mm
+        })
+    })
+}
+
+/// The regions to find edges in, `margin_mm` wider than a vehicle at `pose` needs.
+pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle, margin_mm: f64) -> Vec<Window> {
+    let reach = |t: &crate::vehicle::Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
+    let half = |t| reach(t) + 2.0 * CAPTURE_MM.0 + margin_mm;
+    let camera = &m.calibration.rig.camera;
+    m.templates.iter().filter_map(|t| about(camera, &t.local(pose).origin.xyz, half(t))).collect()
 }

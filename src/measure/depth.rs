@@ -4,42 +4,88 @@
 
 use super::body::{self, Site};
 use crate::calibrate::MAX_EPIPOLAR_PX;
-use crate::capture::{Capture, Fringes, TYPICAL_GAIN, coordinates};
-use crate::fringe::{self, Axis, CoordinateMap, DepthMap, Limits, NoiseLaw, PhaseMap, Rays};
+use crate::capture::{Capture, Fringes, TYPICAL_GAIN, coordinates, coordinates_reusing};
+use crate::fringe::{self, Axis, Coordinate, CoordinateMap, Depth, DepthMap, Limits, NoiseLaw, PhaseMap, Rays};
 use crate::geometry::{Surface, frame};
+
+/// Depth is looked at this densely on the body at the design's distance, mm, and no denser, however fine the camera. A
+/// patch's cells of 3 mm then hold 30 samples each, and there are a thousand of them: its noise stays below 1 µm.
+pub(super) const LATTICE_MM: f64 = 0.6;
 
 /// The decoded fringes of a capture.
 pub(super) struct Decoded {
     /// Along the columns, or the rows where only they are absolute.
     pub(super) coordinates: CoordinateMap,
-    /// The finest phases along the other axis, if there are any that tell a row from the next.
-    pub(super) across: Option<PhaseMap>,
+    phases: Vec<PhaseMap>,
+    /// Which of them are the finest along the other axis, if there are any that tell a row from the next.
+    across: Option<usize>,
     /// The noise law of each set.
     pub(super) noise: Vec<NoiseLaw>,
 }
 
 impl Decoded {
+    /// Everywhere in the window.
     pub(super) fn new(fringes: &Fringes, capture: &Capture) -> Result<Self, fringe::Error> {
         let noise = fringes.noise(capture);
+        let phases = fringes.phases(&noise, &Limits::default())?;
+        Self::of(Vec::new(), phases, noise, capture)
+    }
+
+    /// Where it is wanted, most of it decoded as it came; in the buffer of `pixels`.
+    pub(super) fn wanted(
+        pixels: Vec<Coordinate>,
+        fringes: &mut Fringes,
+        capture: &Capture,
+    ) -> Result<Self, fringe::Error> {
+        let noise = fringes.noise(capture);
+        let phases = fringes.take_phases(&noise)?;
+        Self::of(pixels, phases, noise, capture)
+    }
+
+    fn of(
+        pixels: Vec<Coordinate>,
+        phases: Vec<PhaseMap>,
+        noise: Vec<NoiseLaw>,
+        capture: &Capture,
+    ) -> Result<Self, fringe::Error> {
         let limits = Limits::default();
-        let phases = fringes.phases(&noise, &limits)?;
-        let coordinates = match coordinates(capture, &phases, Axis::Column, &limits) {
+        let coordinates = match coordinates_reusing(pixels, capture, &phases, Axis::Column, &limits) {
             Err(e) => coordinates(capture, &phases, Axis::Row, &limits).map_err(|_| e)?,
             Ok(map) => map,
         };
-        let across = phases.into_iter().filter(|p| p.set.axis != coordinates.axis).max_by_key(|p| p.set.count);
+        let others = phases.iter().enumerate().filter(|(_, p)| p.set.axis != coordinates.axis);
+        let across = others.max_by_key(|(_, p)| p.set.count);
         let extent = if coordinates.axis == Axis::Column { capture.projector.height } else { capture.projector.width };
         // a pitch of a few pixels cannot tell which fringe it is
-        let across = across.filter(|p| p.set.pitch(extent) > 8.0 * MAX_EPIPOLAR_PX);
-        Ok(Self { coordinates, across, noise })
+        let across = across.filter(|(_, p)| p.set.pitch(extent) > 8.0 * MAX_EPIPOLAR_PX).map(|(k, _)| k);
+        Ok(Self { coordinates, phases, across, noise })
     }
+
+    pub(super) fn across(&self) -> Option<&PhaseMap> {
+        self.across.map(|k| &self.phases[k])
+    }
+
+    /// The buffers, for the next capture.
+    pub(super) fn give_back(self, fringes: &mut Fringes, pixels: &mut Vec<Coordinate>) {
+        fringes.give_back(self.phases);
+        *pixels = self.coordinates.pixels;
+    }
+}
+
+/// The noise law of the red image where it is stated.
+pub(super) fn stated_red_noise(capture: &Capture) -> Option<NoiseLaw> {
+    let (black, read) = (capture.camera.black_level, capture.camera.read_noise_e.unwrap_or(0.0));
+    capture.images.red_gain_dn_per_e.map(|gain| NoiseLaw::from_sensor(gain, read, black))
 }
 
 /// The noise law of the red image: stated, or else that of the finest fringes.
 pub(super) fn red_noise(capture: &Capture, fringes: &[NoiseLaw]) -> NoiseLaw {
     let (black, read) = (capture.camera.black_level, capture.camera.read_noise_e.unwrap_or(0.0));
-    let stated = capture.images.red_gain_dn_per_e.map(|gain| NoiseLaw::from_sensor(gain, read, black));
-    stated.or_else(|| fringes.last().copied()).unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, read, black))
+    stated_red_noise(capture).or_else(|| fringes.last().copied()).unwrap_or(NoiseLaw::from_sensor(
+        TYPICAL_GAIN,
+        read,
+        black,
+    ))
 }
 
 /// Depth of a window: decoded, triangulated, and once a coarse surface is known, with the fringes ordered by it
@@ -50,27 +96,29 @@ pub(super) struct BodyDepth<'a> {
 }
 
 impl<'a> BodyDepth<'a> {
+    /// In the buffer of `pixels`, which is left empty unless there is no such surface.
     pub(super) fn new(
+        pixels: &mut Vec<Depth>,
         rig: &crate::optics::Rig,
         rays: &'a Rays,
         coordinates: &mut CoordinateMap,
         sites: &[Site<'_>],
     ) -> Option<Self> {
-        let map = DepthMap::new(rig, rays, coordinates);
-        let coarse = body::coarse(&map, &rig.camera, sites)?;
+        let mut map = DepthMap::reusing(std::mem::take(pixels), rig, rays, coordinates);
+        let Some(mut coarse) = body::coarse(&map, &rig.camera, sites) else {
+            *pixels = map.pixels;
+            return None;
+        };
         let axis = coordinates.axis;
         let expected = |x: usize, y: usize| {
             let ray = rays.at(x, y);
             let met = coarse.local.point(&coarse.meet(&ray, 0.0)?);
             fringe::projector_coordinate(rig, axis, &met)
         };
-        let mut ordered = coordinates.clone();
-        if ordered.predict(&Limits::default(), expected) == 0 {
-            return Some(Self { map, coarse });
+        if coordinates.predict(&Limits::default(), expected) > 0 {
+            map = DepthMap::reusing(map.pixels, rig, rays, coordinates);
+            coarse = body::coarse(&map, &rig.camera, sites)?;
         }
-        *coordinates = ordered;
-        let map = DepthMap::new(rig, rays, coordinates);
-        let coarse = body::coarse(&map, &rig.camera, sites)?;
         Some(Self { map, coarse })
     }
 }

@@ -8,6 +8,7 @@ use crate::geometry::robust;
 use crate::image::{Image, Window};
 use crate::optics::{Lens, Pixel};
 use nalgebra::Vector3;
+use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// An edgel with its ray, and the ray through the point 1 px towards bright; camera frame, z = 1.
@@ -23,51 +24,69 @@ pub(crate) struct EdgeRay {
 /// Side of the cells that the body's grey level is taken from, as a share of the image's width.
 const LEVEL_CELLS: usize = 40;
 
-/// The image with everything brighter than the body about it cut off: hems glint, and a glint beside a gap moves
-/// the gap's edge. And the body's level: the brightest of the medians of neighbouring cells, interpolated.
-pub(crate) fn without_glints(image: &Image<f32>) -> (Image<f32>, Image<f32>) {
-    let side = (image.width / LEVEL_CELLS).max(8);
-    let (columns, rows) = (image.width.div_ceil(side), image.height.div_ceil(side));
-    let mut medians = Image::filled(columns, rows, 0f32);
-    let mut values = Vec::with_capacity(side * side);
-    for j in 0..rows {
-        for i in 0..columns {
-            values.clear();
-            for y in j * side..((j + 1) * side).min(image.height) {
-                values.extend_from_slice(&image.row(y)[i * side..((i + 1) * side).min(image.width)]);
+/// The body's grey level over an image: the brightest of the medians of neighbouring cells, interpolated.
+pub(crate) struct Levels {
+    side: usize,
+    cells: Image<f32>,
+}
+
+impl Levels {
+    pub(crate) fn new(image: &Image<f32>) -> Self {
+        let side = (image.width / LEVEL_CELLS).max(8);
+        let (columns, rows) = (image.width.div_ceil(side), image.height.div_ceil(side));
+        let mut medians = Image::filled(columns, rows, 0f32);
+        medians.pixels.par_chunks_mut(columns).enumerate().for_each(|(j, medians)| {
+            let mut values = Vec::with_capacity(side * side);
+            for (i, median) in medians.iter_mut().enumerate() {
+                values.clear();
+                for y in j * side..((j + 1) * side).min(image.height) {
+                    values.extend_from_slice(&image.row(y)[i * side..((i + 1) * side).min(image.width)]);
+                }
+                let middle = values.len() / 2;
+                *median = *values.select_nth_unstable_by(middle, f32::total_cmp).1;
             }
-            let middle = values.len() / 2;
-            medians.row_mut(j)[i] = *values.select_nth_unstable_by(middle, f32::total_cmp).1;
+        });
+        let level = |i: usize, j: usize| {
+            let around = (j.saturating_sub(1)..=(j + 1).min(rows - 1))
+                .flat_map(|j| (i.saturating_sub(1)..=(i + 1).min(columns - 1)).map(move |i| (i, j)));
+            around.map(|(i, j)| medians.at(i, j)).fold(0.0, f32::max)
+        };
+        let mut cells = Image::filled(columns, rows, 0f32);
+        for j in 0..rows {
+            for i in 0..columns {
+                cells.row_mut(j)[i] = level(i, j);
+            }
         }
+        Self { side, cells }
     }
-    let level = |i: usize, j: usize| {
-        let around = (j.saturating_sub(1)..=(j + 1).min(rows - 1))
-            .flat_map(|j| (i.saturating_sub(1)..=(i + 1).min(columns - 1)).map(move |i| (i, j)));
-        around.map(|(i, j)| medians.at(i, j)).fold(0.0, f32::max)
-    };
-    let mut levels = Image::filled(columns, rows, 0f32);
-    for j in 0..rows {
-        for i in 0..columns {
-            levels.row_mut(j)[i] = level(i, j);
+
+    /// The part of `image` in `window` with everything brighter than the body about it cut off: hems glint, and a
+    /// glint beside a gap moves the gap's edge. And the body's level there.
+    pub(crate) fn without_glints(&self, image: &Image<f32>, window: Window) -> (Image<f32>, Image<f32>) {
+        let place = |p: usize, n: usize| {
+            let c = ((p as f32 + 0.5) / self.side as f32 - 0.5).clamp(0.0, (n - 1) as f32);
+            let first = (c as usize).min(n.saturating_sub(2));
+            (first, (first + 1).min(n - 1), c - first as f32)
+        };
+        let Window { x, y, width, height } = window;
+        let (cells, columns) = (&self.cells, self.cells.width);
+        let mut out = Image::filled(width, height, 0f32);
+        let mut body = out.clone();
+        for row in 0..height {
+            let (j0, j1, t) = place(y + row, cells.height);
+            let (top, bottom) = (cells.row(j0), cells.row(j1));
+            let raw = &image.row(y + row)[x..x + width];
+            let to = out.row_mut(row).iter_mut().zip(body.row_mut(row));
+            for (column, ((value, level), raw)) in (x..).zip(to.zip(raw)) {
+                let (i0, i1, s) = place(column, columns);
+                let top = top[i0] * (1.0 - s) + top[i1] * s;
+                let bottom = bottom[i0] * (1.0 - s) + bottom[i1] * s;
+                *level = top * (1.0 - t) + bottom * t;
+                *value = raw.min(*level);
+            }
         }
+        (out, body)
     }
-    let (mut out, mut body) = (image.clone(), Image::filled(image.width, image.height, 0f32));
-    let place = |p: usize, n: usize| {
-        let c = ((p as f32 + 0.5) / side as f32 - 0.5).clamp(0.0, (n - 1) as f32);
-        let first = (c as usize).min(n.saturating_sub(2));
-        (first, (first + 1).min(n - 1), c - first as f32)
-    };
-    for y in 0..image.height {
-        let (j0, j1, t) = place(y, rows);
-        for (x, (value, level)) in out.row_mut(y).iter_mut().zip(body.row_mut(y)).enumerate() {
-            let (i0, i1, s) = place(x, columns);
-            let top = levels.at(i0, j0) * (1.0 - s) + levels.at(i1, j0) * s;
-            let bottom = levels.at(i0, j1) * (1.0 - s) + levels.at(i1, j1) * s;
-            *level = top * (1.0 - t) + bottom * t;
-            *value = value.min(*level);
-        }
-    }
-    (out, body)
 }
 
 /// Hems and gaps are within this of an edge, mm; and never fewer px, for the image's blur.
@@ -82,31 +101,41 @@ fn reach_px(camera: &Lens) -> f64 {
 const NEIGHBOURS_PX: f64 = 8.0;
 const SAME_EDGE: f64 = 0.9;
 
-/// The edges inside `windows` of an image already without glints.
-pub(crate) fn edge_rays(
-    image: &Image<f32>,
-    level: &Image<f32>,
-    windows: &[Window],
-    noise: &NoiseLaw,
-    camera: &Lens,
-) -> Vec<EdgeRay> {
-    let mut out = Vec::new();
-    for window in windows {
-        let contrast = 0.1 * f64::from(image.pixels[image.pixels.len() / 2]).max(20.0);
-        let filter = EdgeFilter { start: (10.0, contrast), keep: (5.0, 0.4 * contrast), ..EdgeFilter::default() };
-        let found = find_edges(image, *window, &filter, |level| noise.variance(level));
+/// Pixels beyond a window that its edges' profiles and gradients may reach, besides the profiles' own reach.
+const PAD_PX: usize = 10;
+
+/// The edges inside each of `windows`; glints do not count.
+pub(crate) fn edge_rays(image: &Image<f32>, windows: &[Window], noise: &NoiseLaw, camera: &Lens) -> Vec<Vec<EdgeRay>> {
+    let levels = Levels::new(image);
+    let somewhere = image.pixels.len() / 2;
+    let somewhere = Window { x: somewhere % image.width, y: somewhere / image.width, width: 1, height: 1 };
+    let contrast = 0.1 * f64::from(levels.without_glints(image, somewhere).0.pixels[0]).max(20.0);
+    let filter = EdgeFilter { start: (10.0, contrast), keep: (5.0, 0.4 * contrast), ..EdgeFilter::default() };
+    let reach = reach_px(camera);
+    let inside = |window: &Window| {
+        let pad = reach.ceil() as usize + PAD_PX;
+        let (x, y) = (window.x.saturating_sub(pad), window.y.saturating_sub(pad));
+        let (right, bottom) = (window.x + window.width + pad, window.y + window.height + pad);
+        let around = Window { x, y, width: right.min(image.width) - x, height: bottom.min(image.height) - y };
+        let (plain, level) = levels.without_glints(image, around);
+        let found = find_edges(&plain, Window { x: window.x - x, y: window.y - y, ..*window }, &filter, |level| {
+            noise.variance(level)
+        });
         let body = |p: &Pixel| {
             let clamp = |v: f64, n: usize| (v.round().max(0.0) as usize).min(n - 1);
             f64::from(level.at(clamp(p.x, level.width), clamp(p.y, level.height)))
         };
-        let crossings = cross_level(image, &found, reach_px(camera), body, |level| noise.variance(level));
+        let crossings = cross_level(&plain, &found, reach, body, |level| noise.variance(level));
+        let corner = Pixel::new(x as f64, y as f64);
         let soft = softness(&crossings);
-        out.extend(crossings.into_iter().zip(soft).filter_map(|(edgel, soft)| {
+        let ray = |(edgel, softness_px): (Edgel, f64)| {
+            let edgel = Edgel { position: edgel.position + corner, ..edgel };
             let bright: Pixel = edgel.position + edgel.normal;
-            Some(EdgeRay { edgel, softness_px: soft, ray: camera.ray(&edgel.position)?, bright: camera.ray(&bright)? })
-        }));
-    }
-    out
+            Some(EdgeRay { edgel, softness_px, ray: camera.ray(&edgel.position)?, bright: camera.ray(&bright)? })
+        };
+        crossings.into_iter().zip(soft).filter_map(ray).collect()
+    };
+    windows.par_iter().map(inside).collect()
 }
 
 /// The softness of each edge: the median of those within [`NEIGHBOURS_PX`] along it, as a single one is too noisy.
@@ -127,4 +156,36 @@ fn softness(edgels: &[Edgel]) -> Vec<f64> {
         robust::median(&mut values)
     };
     edgels.iter().map(&mut of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::Noise;
+
+    #[test]
+    fn edges_of_a_window_are_those_of_the_whole_image_there() {
+        let mut noise = Noise::new(8);
+        let mut image = Image::filled(400, 300, 0f32);
+        for (i, v) in image.pixels.iter_mut().enumerate() {
+            let (x, y) = ((i % 400) as f64, (i / 400) as f64);
+            let off = (x - 200.0).hypot(y - 150.0) - 90.0;
+            let gap = 1.0 - (-(off / 2.5).powi(4)).exp();
+            *v = ((30.0 + 0.2 * x) * gap + 8.0 + noise.gauss()) as f32;
+        }
+        let lens = Lens { width: 400, height: 300, fx: 700.0, fy: 700.0, cx: 199.5, cy: 149.5, distortion: [0.0; 5] };
+        let law = NoiseLaw { gain: 0.0, variance0: 1.0, black: 0.0 };
+        let window = Window { x: 180, y: 40, width: 150, height: 60 };
+        let found = edge_rays(&image, &[Window::whole(400, 300), window], &law, &lens);
+        // the crossing may lie outside though its edge was found inside
+        let well_inside = |e: &&EdgeRay| {
+            let p = e.edgel.position - Pixel::new(window.x as f64, window.y as f64);
+            p.x > 8.0 && p.y > 8.0 && p.x < window.width as f64 - 8.0 && p.y < window.height as f64 - 8.0
+        };
+        let [whole, part] = [0, 1].map(|k| found[k].iter().filter(well_inside).collect::<Vec<_>>());
+        assert!(whole.len() == part.len() && whole.len() > 100, "{} {}", whole.len(), part.len());
+        for (a, b) in whole.iter().zip(&part) {
+            assert!((a.edgel.position - b.edgel.position).amax() < 1e-3 && (a.ray - b.ray).amax() < 1e-6);
+        }
+    }
 }

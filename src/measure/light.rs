@@ -8,32 +8,38 @@ use nalgebra::Vector3;
 pub(super) struct Light {
     /// Upper quartile of the grey levels above black: the body's.
     pub(super) body: f64,
-    /// Blur of its sharpest edges, px, 1 sigma, where it shows anything dark beside the body.
-    pub(super) blur_px: Option<f64>,
+    /// What nearly all grey levels lie above, above black.
+    dark: f64,
+    /// The upper quartile, above nothing.
+    bright: f64,
+}
+
+fn quantile(values: &mut [f32], q: f64) -> f64 {
+    let k = ((values.len() - 1) as f64 * q) as usize;
+    f64::from(*values.select_nth_unstable_by(k, f32::total_cmp).1)
 }
 
 impl Light {
     pub(super) fn new(red: &Image<f32>, black: f64) -> Self {
-        let quantile = |values: &mut [f32], q: f64| {
-            let k = ((values.len() - 1) as f64 * q) as usize;
-            f64::from(*values.select_nth_unstable_by(k, f32::total_cmp).1)
-        };
         let mut levels: Vec<f32> = red.pixels.iter().step_by(31).copied().collect();
         let (dark, bright) = (quantile(&mut levels, 0.05), quantile(&mut levels, 0.75));
-        let body = bright - black;
-        let mut blur_px = None;
-        if dark - black < 0.5 * body {
-            let at = |x: usize, y: usize| red.at(x, y).min(bright as f32);
-            let mut slopes: Vec<f32> = (1..red.height - 1)
-                .step_by(2)
-                .flat_map(|y| (1..red.width - 1).map(move |x| (x, y)))
-                .map(|(x, y)| 0.5 * (at(x + 1, y) - at(x - 1, y)).hypot(at(x, y + 1) - at(x, y - 1)))
-                .collect();
-            // a step of this height blurred by sigma rises by height / (sigma √2π) at its steepest
-            let steepest = quantile(&mut slopes, 0.999);
-            blur_px = Some(body / (steepest.max(1e-6) * std::f64::consts::TAU.sqrt()));
+        Self { body: bright - black, dark: dark - black, bright }
+    }
+
+    /// Blur of the sharpest edges of `red`, px, 1 sigma, where it shows anything dark beside the body.
+    pub(super) fn blur_px(&self, red: &Image<f32>) -> Option<f64> {
+        if self.dark >= 0.5 * self.body {
+            return None;
         }
-        Self { body, blur_px }
+        let at = |x: usize, y: usize| red.at(x, y).min(self.bright as f32);
+        let mut slopes: Vec<f32> = (1..red.height - 1)
+            .step_by(2)
+            .flat_map(|y| (1..red.width - 1).map(move |x| (x, y)))
+            .map(|(x, y)| 0.5 * (at(x + 1, y) - at(x - 1, y)).hypot(at(x, y + 1) - at(x, y - 1)))
+            .collect();
+        // a step of this height blurred by sigma rises by height / (sigma √2π) at its steepest
+        let steepest = quantile(&mut slopes, 0.999);
+        Some(self.body / (steepest.max(1e-6) * std::f64::consts::TAU.sqrt()))
     }
 }
 

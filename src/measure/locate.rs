@@ -35,7 +35,7 @@ pub(crate) struct Located {
     pub(crate) taught_normal: Vector3<f64>,
     /// Share of the contour that was seen, 0..=1.
     pub(crate) share: f64,
-    /// How far paint and light have moved the edges of the flap's opening, mm.
+    /// How far its contour has grown; for all features that of the flap's opening counts, mm.
     pub(crate) growth_mm: f64,
     /// Where the contour's points lie in the image, and how far off the template, mm: for the overlay.
     pub(crate) contour: Vec<(crate::optics::Pixel, f64)>,
@@ -93,15 +93,14 @@ pub(crate) fn on_panel(rays: &[EdgeRay], patch: &Patch, depth_mm: f64, reach_mm:
         .collect()
 }
 
-/// Locates the taught point, looking for the contour within `capture_mm` of where the pose expects it. `growth_mm`
-/// is what paint and light have done to the flap's opening; `None`: this is the opening. Depth came from the projector's `axis`.
+/// Locates the taught point, looking for the contour within `capture_mm` of where the pose expects it. Depth came from
+/// the projector's `axis`.
 pub(crate) fn locate(
     template: &Template,
     taught_surface: &Polynomial,
     patch: &Patch,
     rays: &[EdgeRay],
     capture_mm: f64,
-    growth_mm: Option<f64>,
     (rig, axis): (&Rig, Axis),
 ) -> Result<Located, Code> {
     let shape: Vec<TemplatePoint> =
@@ -153,9 +152,7 @@ pub(crate) fn locate(
             (surface.local.axes * Vector3::new(-slope.x, -slope.y, 1.0)).normalize()
         },
         share: aligned.share,
-        growth_mm: growth_mm.unwrap_or_else(|| {
-            hem::growth_mm(aligned.used.iter().zip(&aligned.distances).map(|(&k, d)| (*d, points[k].normal)))
-        }),
+        growth_mm: hem::growth_mm(aligned.used.iter().zip(&aligned.distances).map(|(&k, d)| (*d, points[k].normal))),
         contour: aligned
             .used
             .iter()

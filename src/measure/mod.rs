@@ -35,8 +35,9 @@ use crate::calibrate::{Calibration, ParameterCovariance, independent_errors};
 use crate::capture::{self, Capture};
 use crate::geometry::{Polynomial, Pose, frame};
 use crate::image::Window;
-use crate::optics::Pixel;
+use crate::optics::{Pixel, Rig};
 use crate::vehicle::{PanelMask, Template, VehicleFile};
+use std::sync::Mutex;
 
 /// The design's working distance, mm: for what must be sized in pixels before depth is known.
 pub(crate) const TYPICAL_DISTANCE_MM: f64 = 750.0;
@@ -62,6 +63,13 @@ pub struct Measurer {
     /// The panels' masks less a margin for a coarse pose, and for a good one.
     far_masks: Vec<PanelMask>,
     near_masks: Vec<PanelMask>,
+    /// The panels' masks and a margin, for a pose that is not known yet.
+    grown_masks: Vec<PanelMask>,
+    /// Depth is looked at in every so many-th column and row of the images, by a rig whose camera has no others.
+    every: usize,
+    depth_rig: Rig,
+    /// Buffers of vehicles that are done.
+    spare: Mutex<Vec<cycle::Buffers>>,
 }
 
 impl Measurer {
@@ -75,10 +83,27 @@ impl Measurer {
     pub(crate) fn with_templates(calibration: Calibration, vehicle: VehicleFile, templates: Vec<Template>) -> Self {
         let eroded = |mm: f64| templates.iter().map(|t| t.panel.eroded(mm)).collect();
         let (far_masks, near_masks) = (eroded(cycle::EROSION_MM.0), eroded(cycle::EROSION_MM.1));
+        let grown_masks = templates.iter().map(|t| t.panel.grown(cycle::MARGIN_MM)).collect();
+        let mut depth_rig = calibration.rig.clone();
+        let pixels_per_mm = depth_rig.camera.fx / TYPICAL_DISTANCE_MM;
+        let every = ((depth::LATTICE_MM * pixels_per_mm) as usize).max(1);
+        depth_rig.camera = depth_rig.camera.thinned(every);
         let surfaces =
             templates.iter().map(|t| t.surface.polynomial().expect("checked when it was read or made")).collect();
         let errors = calibration.covariance.as_deref().map_or_else(ParameterCovariance::zeros, independent_errors);
-        Self { calibration, errors: Box::new(errors), vehicle, templates, surfaces, far_masks, near_masks }
+        Self {
+            calibration,
+            errors: Box::new(errors),
+            vehicle,
+            templates,
+            surfaces,
+            far_masks,
+            near_masks,
+            grown_masks,
+            every,
+            depth_rig,
+            spare: Mutex::default(),
+        }
     }
 
     /// Begins a vehicle with its red image, whose size is the calibration's, and the one without bars and projector, if
@@ -90,6 +115,18 @@ impl Measurer {
         ambient: Option<&crate::Image<u16>>,
     ) -> Cycle<'a> {
         Cycle::new(self, capture, red, ambient)
+    }
+
+    /// Buffers of an earlier vehicle, or empty ones. Images and maps of the size of regions are made once, not once per
+    /// vehicle, and nothing of what they held is read.
+    fn buffers(&self) -> cycle::Buffers {
+        self.spare.lock().ok().and_then(|mut spare| spare.pop()).unwrap_or_default()
+    }
+
+    fn keep(&self, buffers: cycle::Buffers) {
+        if let Ok(mut spare) = self.spare.lock() {
+            spare.push(buffers);
+        }
     }
 
     fn station(&self) -> Station {

@@ -120,7 +120,7 @@ impl Run<'_, '_> {
         let m = self.cycle.measurer;
         let pose = self.pose.or(self.cycle.first_pose);
         Drawing {
-            regions: pose.map(|p| contour_windows(m, &p)).unwrap_or_default(),
+            regions: pose.map(|p| contour_windows(m, &p, 0.0)).unwrap_or_default(),
             contours: self.located.iter().flatten().flat_map(|l| l.contour.iter().copied()).collect(),
         }
     }

@@ -3,7 +3,7 @@
 //! Not here: files; moving the clicks. What was clicked is where the ray meets the fitted surface, and stays so.
 
 use super::ambient;
-use super::body::{self, Patch, Shape, Site};
+use super::body::{self, Patch, Samples, Shape, Site};
 use super::cycle::EROSION_MM;
 use super::depth::{BodyDepth, Decoded, red_noise};
 use super::edges::{self, EdgeRay};
@@ -135,7 +135,8 @@ pub fn teach(
     let Decoded { mut coordinates, noise, .. } = Decoded::new(&fringes, capture)?;
     let rays = Rays::new(camera, fringes.window);
     let clicks = features.clicks()?;
-    let (plain, level) = edges::without_glints(&raw);
+    let whole = Window::whole(red.width, red.height);
+    let (plain, level) = edges::Levels::new(&raw).without_glints(&raw, whole);
     // a rounded corner's panel begins some mm from the sharp corner that was clicked
     let reach = 8.0 * camera.fx / TYPICAL_DISTANCE_MM;
     let panel = panel_mask(&plain, &level, &clicks, reach).ok_or(TeachError::Body {
@@ -157,9 +158,10 @@ pub fn teach(
     let masks: Vec<PanelMask> = flat.iter().map(|l| mask_about(camera, &panel, |uv| l.point(&uv.push(0.0)))).collect();
     let eroded: Vec<PanelMask> = masks.iter().map(|m| m.eroded(EROSION_MM.1)).collect();
     let sites: Vec<Site<'_>> = flat.iter().zip(&eroded).map(|(local, panel)| Site::new(*local, panel)).collect();
-    let body = BodyDepth::new(&calibration.rig, &rays, &mut coordinates, &sites).ok_or(TeachError::Body {
-        what: "too little of the panel about the clicked points has depth: check the projector and glare",
-    })?;
+    let body =
+        BodyDepth::new(&mut Vec::new(), &calibration.rig, &rays, &mut coordinates, &sites).ok_or(TeachError::Body {
+            what: "too little of the panel about the clicked points has depth: check the projector and glare",
+        })?;
 
     let mut points: Vec<Point3<frame::Camera>> = Vec::new();
     for (feature, click) in features.features.iter().zip(&clicks) {
@@ -184,8 +186,7 @@ pub fn teach(
     check_side(features, &placed, &pose)?;
 
     let red_noise = red_noise(capture, &noise);
-    let all = [Window::whole(red.width, red.height)];
-    let edge_rays = edges::edge_rays(&plain, &level, &all, &red_noise, camera);
+    let edge_rays = edges::edge_rays(&raw, &[whole], &red_noise, camera).concat();
     let mut model = features.clone();
     let mut templates = Vec::new();
     for (k, feature) in features.features.iter().enumerate() {
@@ -253,9 +254,15 @@ fn place(
             let mask = mask_about(camera, panel, |uv| surface_point(&body.coarse, &local, uv)).eroded(EROSION_MM.1);
             let site = Site::new(local, &mask);
             let at = judging_points(&mask, site.hole_mm);
-            let patch = body::patch(&body.map, camera, &site, &body.coarse, &Shape::Smooth(&at)).map_err(|code| {
-                refusal(feature, code, "the surface about it cannot be measured: choose a capture without glare there")
-            })?;
+            let patch = Samples::new(&body.map, camera, &site, site.hole_mm + body::REACH_MM, &body.coarse)
+                .patch(&site, &Shape::Smooth(&at))
+                .map_err(|code| {
+                    refusal(
+                        feature,
+                        code,
+                        "the surface about it cannot be measured: choose a capture without glare there",
+                    )
+                })?;
             Ok::<_, TeachError>((mask, patch))
         };
         let local = frame_at(*point, &body.coarse);

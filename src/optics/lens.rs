@@ -94,6 +94,20 @@ impl Lens {
         }
     }
 
+    /// The same lens on an image of which only every `every`-th column and row is looked at, from the first on.
+    pub fn thinned(&self, every: usize) -> Self {
+        let n = every as f64;
+        Self {
+            width: self.width.div_ceil(every),
+            height: self.height.div_ceil(every),
+            fx: self.fx / n,
+            fy: self.fy / n,
+            cx: self.cx / n,
+            cy: self.cy / n,
+            distortion: self.distortion,
+        }
+    }
+
     fn normalised(&self, pixel: &Pixel) -> Vector2<f64> {
         Vector2::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy)
     }
@@ -141,6 +155,16 @@ mod tests {
             step[k] = h;
             let slope = (l.distort(&(n + step)).0 - l.distort(&(n - step)).0) / (2.0 * h);
             assert!((slope - j.column(k)).amax() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn a_thinned_image_has_the_rays_of_the_pixels_that_are_left() {
+        let (whole, third) = (lens(), lens().thinned(3));
+        assert_eq!((third.width, third.height), (432, 324));
+        for (x, y) in [(0.0, 0.0), (200.0, 101.0), (431.0, 323.0)] {
+            let rays = (third.ray(&Pixel::new(x, y)), whole.ray(&Pixel::new(3.0 * x, 3.0 * y)));
+            assert!((rays.0.expect("inside") - rays.1.expect("inside")).amax() < 1e-12);
         }
     }
 

@@ -434,6 +434,7 @@ fn measure(
                 }
             }
         };
+        drop(cycle); // it borrows the description that is replaced
         (red, capture) = next;
     }
 }

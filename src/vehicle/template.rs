@@ -144,7 +144,8 @@ impl PanelMask {
     /// Whether (u, v) mm lies on the panel; outside the grid it does not.
     pub fn contains(&self, uv: &Vector2<f64>) -> bool {
         let (half, side) = (f64::from(self.half), 2 * self.half as usize + 1);
-        let (i, j) = ((uv.x / self.cell_mm).round() + half, (uv.y / self.cell_mm).round() + half);
+        // rounded by cutting off, as a call of `round` per pixel is what some processors have instead
+        let (i, j) = (uv.x / self.cell_mm + half + 0.5, uv.y / self.cell_mm + half + 0.5);
         if !(0.0..side as f64).contains(&i) || !(0.0..side as f64).contains(&j) {
             return false;
         }
@@ -164,6 +165,17 @@ impl PanelMask {
             })
             .collect();
         if first.is_empty() { 0.0 } else { crate::geometry::robust::median(&mut first) }
+    }
+
+    /// The mask with all that is within `mm` of it along u and v; less at the grid's border.
+    pub fn grown(&self, mm: f64) -> Self {
+        let steps = (mm / self.cell_mm).ceil() as i32;
+        let along = |mask: &Self, axis: Vector2<f64>| {
+            Self::new(self.cell_mm, self.half, |c| {
+                (-steps..=steps).any(|k| mask.contains(&(c + axis * (f64::from(k) * self.cell_mm))))
+            })
+        };
+        along(&along(self, Vector2::x()), Vector2::y())
     }
 
     /// The mask less all that is within `mm` of what is not panel; the grid's border does not count.
