@@ -14,6 +14,7 @@ use super::light::{self, Bars, Wrong};
 use crate::capture::shoot::{FRINGE_LEVEL, RED_LEVEL, brighter, place, quartile};
 use crate::capture::{Capture, Conditions, Described, Light, SETS, ShootError, Shooting, Shots};
 use crate::code::Code;
+use crate::fringe::Axis;
 use crate::hal::{self, Buffer, Pool, Sensor};
 use crate::image::Image;
 use crate::measure::{Measurement, Measurer};
@@ -24,6 +25,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
+/// The usual sets, the finest first: its first image is the one that is repeated, and the finer a fringe the less a vehicle
+/// must move until it shows.
+pub(super) const SHOWN: [(Axis, u32, u32); 3] = [SETS[2], SETS[1], SETS[0]];
 /// A try ends this long after its last image was due, whatever happens: a retried image, the lights' own time.
 pub const LIMIT: Duration = Duration::from_millis(600);
 /// An image that has not come this long after the longest exposure is missing.
@@ -74,6 +78,8 @@ pub(super) struct Settings {
 pub(super) trait Watch {
     /// Called before each image: whether to go on.
     fn go_on(&mut self) -> bool;
+    /// Called when the red image is there.
+    fn lit(&mut self);
     /// Called when the last image is there and the lights are off.
     fn taken(&mut self);
     /// Called while computing goes on: whether to go on, and whether there is no time left to wait.
@@ -131,7 +137,7 @@ pub(super) struct Attempt {
     pub(super) computed: Duration,
 }
 
-/// One try. The pictures of [`SETS`] are loaded.
+/// One try. The pictures of [`SHOWN`] are loaded.
 pub(super) fn attempt(
     hardware: &mut Hardware,
     pool: &Pool,
@@ -205,7 +211,7 @@ enum Feed {
 
 impl Try<'_> {
     fn run(&mut self, hardware: &mut Hardware, pool: &Pool, watch: &mut dyn Watch) -> Result<Measurement, Ended> {
-        let n: usize = SETS.iter().map(|s| s.2 as usize).sum();
+        let n: usize = SHOWN.iter().map(|s| s.2 as usize).sum();
         let projector = hardware.projector.size();
         let watch = RefCell::new(watch);
         let mut go_on = || watch.borrow_mut().go_on();
@@ -217,6 +223,7 @@ impl Try<'_> {
         s.show(None)?;
         let level = RED_LEVEL * self.bracket.red;
         let red = self.red(s, level)?;
+        watch.borrow_mut().lit();
 
         s.show(Some(n))?;
         let before = s.taken();
@@ -254,7 +261,7 @@ impl Try<'_> {
             Described {
                 sensor: &sensor,
                 projector,
-                sets: &SETS,
+                sets: &SHOWN,
                 repeat: true,
                 red: light,
                 fringes: fringe_light,
@@ -291,6 +298,7 @@ impl Try<'_> {
                     s.bars(red.drive)?;
                     light = s.expose(light.strength() * brighter(found, level))?;
                     image = s.grab()?;
+                    watch.borrow_mut().lit();
                     s.bars([0.0; 2])?;
                     ambient = s.grab()?;
                     s.expose(fringe_light.strength())?;
@@ -417,7 +425,7 @@ fn measure(
         let mut cycle = measurer.begin(&capture, &red[0], Some(&red[1]));
         let _ = say.send(cycle.panel_pixels().into_iter().flatten().collect());
         let add = |cycle: &mut crate::measure::Cycle<'_>, k: usize, image: &Image<u16>| {
-            let (set, step) = place(&SETS, k);
+            let (set, step) = place(&SHOWN, k);
             cycle.add_fringe(set, step, image).expect("the capture's sets are those that are shown");
         };
         fringes.iter().for_each(|(k, image)| add(&mut cycle, *k, image));

@@ -579,7 +579,7 @@ impl Machine {
         watcher.release();
         let (aborted, taken_at, truth) = (watcher.aborted, watcher.taken_at, watcher.truth);
         let name = self.parts.world.as_ref().map_or_else(String::new, |w| w.name());
-        let late = aborted.then_some(()).is_none() && matches!(attempt.end, Err(Ended::Stopped));
+        let late = !aborted && matches!(attempt.end, Err(Ended::Stopped));
         let (measurement, wrong) = match attempt.end {
             Ok(measurement) => (Some(measurement), None),
             Err(Ended::Failed(wrong)) => (None, Some(wrong)),
@@ -751,10 +751,11 @@ impl Watcher<'_> {
 impl Watch for Watcher<'_> {
     fn go_on(&mut self) -> bool {
         self.look();
-        if self.truth.is_none() {
-            self.truth = self.world.and_then(World::truth);
-        }
         !self.aborted && self.clock.now() < self.deadline
+    }
+
+    fn lit(&mut self) {
+        self.truth = self.world.and_then(World::truth);
     }
 
     fn taken(&mut self) {

@@ -2,9 +2,10 @@
 //! In: devices. Out: nothing, or the code of the first that does not work. Leaves the lights off.
 //! Not here: whether what they do is good enough to measure by.
 
+use super::acquire::SHOWN;
 use super::hardware::Hardware;
 use super::light::means;
-use crate::capture::{SETS, pictures};
+use crate::capture::pictures;
 use crate::code::Code;
 use crate::hal::Pool;
 use crate::image::Image;
@@ -28,7 +29,7 @@ pub(super) fn test(hardware: &mut Hardware, pool: &Pool) -> Result<(), Code> {
 /// Loads the cycle's pictures and nothing else.
 pub(super) fn load(hardware: &mut Hardware) -> Result<(), Code> {
     let (width, height) = hardware.projector.size();
-    let pictures = pictures(&SETS, width, height).expect("the usual sets can be shown");
+    let pictures = pictures(&SHOWN, width, height).expect("the usual sets can be shown");
     hardware.projector.load(&pictures).map_err(|_| Code::ProjectorSilent)
 }
 
@@ -37,7 +38,7 @@ fn try_all(hardware: &mut Hardware, pool: &Pool) -> Result<(), Code> {
     let one_image = || pool.take().or_else(|| Pool::new(&sensor, 1).take()).expect("a new pool has one");
     let mut images: [_; 5] = std::array::from_fn(|_| one_image());
     let lost = |_| Code::CameraLost;
-    let grey = SETS.iter().map(|s| s.2 as usize).sum();
+    let grey = SHOWN.iter().map(|s| s.2 as usize).sum();
     hardware.camera.set_gain(1.0).map_err(lost)?;
     for (k, exposure) in EXPOSURES.into_iter().enumerate() {
         hardware.camera.set_exposure(exposure).map_err(lost)?;
