@@ -58,7 +58,7 @@ impl Bench {
 
 fn measure(c: &mut Criterion) {
     let b = Bench::new();
-    let begun = || b.measurer.begin(&b.capture, &b.red);
+    let begun = || b.measurer.begin(&b.capture, &b.red, None);
     let filled = || {
         let mut cycle = begun();
         b.images().for_each(|(k, step, image)| cycle.add_fringe(k, step, image).expect("of the capture"));

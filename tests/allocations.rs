@@ -61,7 +61,7 @@ fn after_the_first_vehicle_no_buffer_of_the_regions_is_allocated() {
     let fringes: Vec<Vec<Image<u16>>> =
         capture.fringes.iter().map(|set| set.images.iter().map(load).collect()).collect();
     let measured = || -> Measurement {
-        let mut cycle = measurer.begin(&capture, &red);
+        let mut cycle = measurer.begin(&capture, &red, None);
         for (k, set) in fringes.iter().enumerate() {
             for (step, image) in (0u32..).zip(set) {
                 cycle.add_fringe(k, step, image).expect("of the capture");

@@ -3,8 +3,8 @@
 //!
 //! Beside the captures of an independent renderer it is compared where the variable DATUM_DATA names their folder.
 //! The table of many vehicles is asked for: `DATUM_VEHICLES=200 cargo test --release --test simulation many -- --nocapture`.
-//! `DATUM_BARS_MM=1050` sets the bars so far out that no pose mirrors them on a feature; `DATUM_REPEAT=1` repeats the
-//! first fringe image at the end.
+//! `DATUM_BARS_MM=690` sets the bars where the independent captures have them, and some poses mirror one on a feature;
+//! `DATUM_REPEAT=1` repeats the first fringe image at the end.
 
 #![expect(clippy::print_stdout, reason = "tables to read are half of what this is for")]
 
@@ -644,7 +644,9 @@ impl Look {
 fn beside_the_independent_captures() {
     let Some(folder_there) = data("station") else { return };
     let there = Set::open(folder_there);
-    let setup = Arc::new(Setup::new(0.5, 8));
+    let mut setup = Setup::new(0.5, 8);
+    setup.place_bars(690.0); // as there
+    let setup = Arc::new(setup);
     let body = Body::named("suv-a").expect("listed");
     let sets = [(Axis::Column, 1, 4), (Axis::Column, 8, 4), (Axis::Column, 64, 4)]; // as there
     let here = |name: &str| {

@@ -60,6 +60,11 @@ impl Levels {
         Self { side, cells }
     }
 
+    /// The body's level where there is as much brighter as darker.
+    fn median(&self) -> f64 {
+        robust::median(&mut self.cells.pixels.iter().map(|v| f64::from(*v)).collect::<Vec<_>>())
+    }
+
     /// The part of `image` in `window` with everything brighter than the body about it cut off: hems glint, and a
     /// glint beside a gap moves the gap's edge. And the body's level there.
     pub(crate) fn without_glints(&self, image: &Image<f32>, window: Window) -> (Image<f32>, Image<f32>) {
@@ -107,9 +112,7 @@ const PAD_PX: usize = 10;
 /// The edges inside each of `windows`; glints do not count.
 pub(crate) fn edge_rays(image: &Image<f32>, windows: &[Window], noise: &NoiseLaw, camera: &Lens) -> Vec<Vec<EdgeRay>> {
     let levels = Levels::new(image);
-    let somewhere = image.pixels.len() / 2;
-    let somewhere = Window { x: somewhere % image.width, y: somewhere / image.width, width: 1, height: 1 };
-    let contrast = 0.1 * f64::from(levels.without_glints(image, somewhere).0.pixels[0]).max(20.0);
+    let contrast = 0.1 * levels.median().max(20.0);
     let filter = EdgeFilter { start: (10.0, contrast), keep: (5.0, 0.4 * contrast), ..EdgeFilter::default() };
     let reach = reach_px(camera);
     let inside = |window: &Window| {

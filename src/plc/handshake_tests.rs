@@ -1053,8 +1053,8 @@ fn the_station_is_told_of_every_change_of_ownership_and_again_where_it_did_not_h
         orders.into_iter().filter_map(|o| if let Order::Own(own) = o { Some(own) } else { None }).collect::<Vec<_>>()
     };
     assert_eq!(owns(1, Event::Write { client: PLC, address: CONTROL, words: &[ENABLE] }), [true]);
-    assert_eq!(owns(1, Event::Undelivered(Order::Own(true))), []);
+    assert!(owns(1, Event::Undelivered(Order::Own(true))).is_empty());
     assert_eq!(owns(1, Event::Tick), [true]);
-    assert_eq!(owns(1, Event::Tick), []);
+    assert!(owns(1, Event::Tick).is_empty());
     assert_eq!(owns(2, Event::Closed(PLC)), [false]);
 }

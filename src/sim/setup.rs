@@ -46,8 +46,9 @@ pub struct Setup {
 pub const DISTANCE_MM: f64 = 750.0;
 /// Light on the body from both bars at full drive, lx. The published method found its window at 144 to 248 lx.
 const FULL_LUX: f64 = 330.0;
-/// The bars stand this far to either side of the camera, mm.
-pub const BARS_MM: f64 = 690.0;
+/// The bars stand this far to either side of the camera, mm: so far that no pose within the station's limits mirrors one
+/// on a feature.
+pub const BARS_MM: f64 = 1050.0;
 /// Electrons per ms and cd/m²: white paint under 200 lx gives a mean grey in 2 ms. It is the same for either size of
 /// pixel: the lens of the smaller image is stopped down.
 pub(super) const SENSITIVITY: f64 = 32.0;

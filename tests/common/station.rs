@@ -8,7 +8,7 @@ use datum::station::{
 use datum::{Measurement, Point3, Pose, frame};
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;

@@ -178,7 +178,7 @@ fn server(config: &StationFile) -> anyhow::Result<plc::Config> {
         },
         heartbeat_timeout: Duration::from_secs_f64(keys.heartbeat_s),
         presence: config.cycle.trigger == TriggerKind::Presence,
-        ..plc::Config::default()
+        patience: PATIENCE,
     })
 }
 
