@@ -31,7 +31,9 @@ fn a_vehicle_goes_through_the_whole_handshake() {
 fn the_answer_to_a_trigger_is_there_with_the_response_to_its_write() {
     let (go, wait) = mpsc::channel::<()>();
     let server = serve(patient(), move |order| {
-        wait.recv().expect("the test is there");
+        if matches!(order, Order::Measure(_)) {
+            wait.recv().expect("the test is there");
+        }
         good_station(order)
     });
     let mut client = Client::connect(server.local_addr());
@@ -118,7 +120,9 @@ fn a_station_whose_pulse_stops_stops_the_heartbeat_and_the_server_lives() {
     let (go, wait) = mpsc::channel::<()>();
     let config = Config { patience: Duration::from_millis(300), ..patient() };
     let server = serve(config, move |order| {
-        wait.recv().expect("the test is there"); // hangs
+        if matches!(order, Order::Measure(_)) {
+            wait.recv().expect("the test is there"); // hangs
+        }
         good_station(order)
     });
     let mut client = Client::connect(server.local_addr());

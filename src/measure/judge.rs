@@ -22,7 +22,7 @@ const EDGE_BIAS_MM: f64 = 0.027;
 /// How much more, times the share of the contour that is not seen: with 30 % hidden it is stated five and a half times
 /// as large. An assumption: how much a hidden stretch spoils what is beside it was not measured.
 const HIDDEN_BIAS: f64 = 15.0;
-/// And how much more where the opening has grown or shrunk against the taught one: as a share of that.
+/// And how much more is stated where the opening has grown or shrunk against the taught one: as a share of that.
 const HEM_BIAS: f64 = 0.7;
 /// The same across the panel: fringe harmonics, defocus; and never nothing.
 const NORMAL_BIAS_MM: f64 = 0.005;
@@ -73,8 +73,14 @@ impl Evidence<'_> {
         let across = n * n.transpose();
         // whatever hides a part of a contour also shades or blurs what is left beside it
         let edge_bias = EDGE_BIAS_MM * (1.0 + HIDDEN_BIAS * (1.0 - self.located.share));
-        let edge_bias = edge_bias.hypot(HEM_BIAS * self.located.growth_mm);
         self.located.noise + (Matrix3::identity() - across) * edge_bias.powi(2) + across * NORMAL_BIAS_MM.powi(2)
+    }
+
+    /// What paint and light add to that, camera axes, mm². It counts in what is stated, not in what is held against the
+    /// vehicle: a calibration that is off by as much would pass for paint.
+    fn paint_covariance(&self) -> Matrix3<f64> {
+        let n = self.located.normal;
+        (Matrix3::identity() - n * n.transpose()) * (HEM_BIAS * self.located.growth_mm).powi(2)
     }
 
     /// How the located point follows the calibration's independent errors, camera axes, mm per sigma. Features share
@@ -86,7 +92,7 @@ impl Evidence<'_> {
     /// Covariance of the located point with the calibration's part, camera axes, mm².
     pub(crate) fn located_covariance(&self) -> Matrix3<f64> {
         let spread = self.spread();
-        self.measured_covariance() + spread * spread.transpose()
+        self.measured_covariance() + self.paint_covariance() + spread * spread.transpose()
     }
 
     pub(crate) fn known(&self, pose: &CameraFromVehicle) -> Known {
@@ -193,12 +199,18 @@ pub(crate) fn judge(
         }
     }
 
+    let painted: Vec<_> = evidence
+        .iter()
+        .map(|e| {
+            let pair = e.pair(&pose);
+            Pair { covariance: pair.covariance + e.paint_covariance(), ..pair }
+        })
+        .collect();
+    let stated = register(&painted).map_err(|e| refused(Code::TooFewFeatures, e.to_string(), Some(worst.0)))?;
     let of_calibration = response(evidence, &registration, |e| e.spread());
     let squares: f64 = registration.residuals.iter().map(|r| r.norm_squared()).sum();
     Ok(Judged {
-        covariance: registration.covariance
-            + common_mode(evidence, &pose)
-            + of_calibration * of_calibration.transpose(),
+        covariance: stated.covariance + common_mode(evidence, &pose) + of_calibration * of_calibration.transpose(),
         residual_rms_mm: (squares / evidence.len() as f64).sqrt(),
         distance_deviation_mm: worst.0,
         registration,

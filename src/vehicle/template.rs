@@ -358,8 +358,8 @@ mod tests {
         assert_eq!(Template::from_bytes(&bytes[..20]), Err(TemplateError::Damaged));
         assert_eq!(Template::from_bytes(b"PNG"), Err(TemplateError::NotATemplate));
         let mut newer = bytes;
-        newer[7] = 2;
-        assert_eq!(Template::from_bytes(&newer), Err(TemplateError::Version { found: 2 }));
+        newer[7] = 3;
+        assert_eq!(Template::from_bytes(&newer), Err(TemplateError::Version { found: 3 }));
     }
 
     #[test]
