@@ -73,6 +73,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         }
         Err(fault) => return Err(fault.into()),
     };
+    let more_jobs = models::models(&simulated, &config, &calibration, &stop)?;
     let (order, orders) = mpsc::sync_channel(ORDERS);
     let (reported, reports) = mpsc::channel();
     let pulse = Arc::new(plc::Pulse::default());
@@ -81,7 +82,6 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     view.say(&format!("Modbus TCP on {}", server.local_addr()));
 
     let folder = config.beside(&config.jobs.folder);
-    let more_jobs = models::models(&simulated, &config, &calibration, &stop)?;
     let jobs = load_all(&folder, &calibration);
     for broken in jobs.unusable() {
         tracing::warn!(code = broken.code.number(), "{}", broken.said);

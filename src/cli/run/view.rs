@@ -20,10 +20,10 @@ struct Page {
     /// What the PLC's side looked like last.
     plc: Plc,
     listens: String,
-    last: Option<String>,
     /// Lines of the page on the terminal.
     drawn: usize,
-    shown: Option<State>,
+    /// Of what a person waits for, what was told last.
+    told: Option<State>,
 }
 
 impl View {
@@ -33,9 +33,8 @@ impl View {
             status: Status::default(),
             plc: Plc::default(),
             listens: String::new(),
-            last: None,
             drawn: 0,
-            shown: None,
+            told: None,
         };
         Self(Arc::new(Mutex::new(page)))
     }
@@ -53,14 +52,10 @@ impl View {
     pub(super) fn status(&self, status: &Status) {
         self.page(|p| {
             p.status = status.clone();
-            let turned = p.shown != Some(status.state);
-            p.shown = Some(status.state);
             // without a page only what a person waits for is told, and once
-            if !p.live && turned && matches!(status.state, State::WarmUp | State::Fault) {
+            let waited_for = matches!(status.state, State::WarmUp | State::Fault | State::Ready);
+            if !p.live && waited_for && p.told.replace(status.state) != Some(status.state) {
                 p.say(words(status.state));
-            }
-            if !p.live && turned && status.state == State::Ready && status.counters.results == status.counters.aborted {
-                p.say("ready");
             }
         });
     }
@@ -78,7 +73,6 @@ impl View {
         self.page(|p| {
             let text = line::line(finished);
             p.say(text.trim_end());
-            p.last = Some(finished.name.clone());
         });
     }
 
