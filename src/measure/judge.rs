@@ -24,6 +24,10 @@ const EDGE_BIAS_MM: f64 = 0.027;
 const HIDDEN_BIAS: f64 = 15.0;
 /// And how much more is stated where the opening has grown or shrunk against the taught one: as a share of that.
 const HEM_BIAS: f64 = 0.7;
+/// Where the opening has grown by more than it does under the paint it was taught on, mm, another paint moves corners
+/// against it: by up to this many times what is beyond.
+const SAME_PAINT_MM: f64 = 0.03;
+const PAINT_DISTANCE: f64 = 1.5;
 /// The same across the panel: fringe harmonics, defocus; and never nothing.
 const NORMAL_BIAS_MM: f64 = 0.005;
 /// Paint and light shift all features together along the panel, 1 sigma, mm: black against white in one pose 0.03.
@@ -76,8 +80,8 @@ impl Evidence<'_> {
         self.located.noise + (Matrix3::identity() - across) * edge_bias.powi(2) + across * NORMAL_BIAS_MM.powi(2)
     }
 
-    /// What paint and light add to that, camera axes, mm². It counts in what is stated, not in what is held against the
-    /// vehicle: a calibration that is off by as much would pass for paint.
+    /// What paint and light add to that, camera axes, mm². It counts in what is stated; held against the vehicle it would let
+    /// a calibration pass that is off by as much, so that only what is surely paint widens the check of distances.
     fn paint_covariance(&self) -> Matrix3<f64> {
         let n = self.located.normal;
         (Matrix3::identity() - n * n.transpose()) * (HEM_BIAS * self.located.growth_mm).powi(2)
@@ -147,14 +151,15 @@ pub(crate) fn judge(
                 a.model_covariance(&pose) + b.model_covariance(&pose) + of_calibration * of_calibration.transpose();
             let of_measuring = a.measured_covariance() + b.measured_covariance();
             let sigma = |m: Matrix3<f64>| along.dot(&(m * along)).sqrt();
+            let of_paint = PAINT_DISTANCE * (a.located.growth_mm - SAME_PAINT_MM).max(0.0);
             let between = format!("{} to {}: {:+.3} mm", b.feature.name, a.feature.name, deviation);
             // what is not known of the taught points and the calibration cannot be held against the vehicle
             if deviation.abs() > model.limits.distance_mm + 3.0 * sigma(of_model) {
                 too_far.get_or_insert(format!("{between} from nominal, allowed ±{} mm", model.limits.distance_mm));
-            } else if deviation.abs() > DISTANCE_SIGMAS * sigma(of_model + of_measuring) {
+            } else if deviation.abs() > DISTANCE_SIGMAS * sigma(of_model + of_measuring) + of_paint {
                 too_far.get_or_insert(format!(
-                    "{between} from nominal, {DISTANCE_SIGMAS} sigmas are {:.3} mm",
-                    DISTANCE_SIGMAS * sigma(of_model + of_measuring)
+                    "{between} from nominal, {DISTANCE_SIGMAS} sigmas and the paint's share are {:.3} mm",
+                    DISTANCE_SIGMAS * sigma(of_model + of_measuring) + of_paint
                 ));
             }
             if deviation.abs() >= worst.0 {
