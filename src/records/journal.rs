@@ -96,10 +96,12 @@ impl Journal {
         for damage in &recovery.damage {
             tracing::warn!("{damage}");
         }
-        if let Some(torn) = recovery.damage.iter().find(|d| d.tail) {
+        for torn in recovery.damage.iter().filter(|d| d.tail) {
             // first the segment that keeps the ids of what may have been lost from being given again, then the cut
-            open.next += 1 + (torn.bytes.len() / LEAST) as u64;
-            open.begin_segment(&self.folder, self.limits)?;
+            if open.segments.last().is_some_and(|(first, _)| segment(&self.folder, *first) == torn.file) {
+                open.next += 1 + (torn.bytes.len() / LEAST) as u64;
+                open.begin_segment(&self.folder, self.limits)?;
+            }
             cut(&torn.file, torn.bytes.start as u64).map_err(|e| Fault::new(&torn.file, "the journal", e))?;
         }
         self.recovered = totals;
@@ -197,8 +199,22 @@ impl Open {
             if recovery.last == 0 {
                 // an empty segment is begun before there is a record to put into it: the totals are one further back
                 totals = earlier_totals(folder, first);
+                // nor may the one before have been cut, if the power failed between the two
+                if let Some((_, before)) =
+                    segments(folder).map_err(|e| fault(folder, e))?.into_iter().rfind(|s| s.0 < first)
+                {
+                    let bytes = fs::read(&before).map_err(|e| fault(&before, e))?;
+                    let (mut at, mut above) = (MAGIC.len().min(bytes.len()), 0);
+                    while let Some(piece) = frame::next(&bytes, &mut at, &mut above) {
+                        if let Piece::Lost(lost) = piece
+                            && lost.end == bytes.len()
+                        {
+                            recovery.damage.push(Damage { file: before.clone(), bytes: lost, tail: true });
+                        }
+                    }
+                }
             }
-            if recovery.damage.is_empty() && head(&bytes) == Head::Ours {
+            if recovery.damage.iter().all(|d| d.file != file) && head(&bytes) == Head::Ours {
                 open.file = Some(File::options().append(true).open(&file).map_err(|e| fault(&file, e))?);
             }
         }

@@ -70,6 +70,15 @@ impl Reader {
     }
 }
 
+impl Reader {
+    /// No segment is left that holds anything: one may have been begun and the power have failed before the torn end of the
+    /// one before it was cut.
+    fn nothing_follows(&self) -> bool {
+        let empty = |file: &Path| std::fs::metadata(file).is_ok_and(|m| m.len() <= MAGIC.len() as u64);
+        self.segments.iter().all(|(_, file)| empty(file))
+    }
+}
+
 impl Iterator for Reader {
     type Item = Result<Found, Error>;
 
@@ -85,7 +94,7 @@ impl Iterator for Reader {
             self.file = file;
             self.at = MAGIC.len().min(self.bytes.len());
             if head(&self.bytes) == Head::Damaged {
-                let tail = self.at == self.bytes.len() && self.segments.is_empty();
+                let tail = self.at == self.bytes.len() && self.nothing_follows();
                 return Some(Ok(Found::Damage(Damage { file: self.file.clone(), bytes: 0..self.at, tail })));
             }
         }
@@ -94,7 +103,7 @@ impl Iterator for Reader {
                 decode(id, payload).map_or(Found::Later { id }, |record| Found::Record(Box::new(record)))
             }
             Piece::Lost(bytes) => {
-                let tail = bytes.end == self.bytes.len() && self.segments.is_empty();
+                let tail = bytes.end == self.bytes.len() && self.nothing_follows();
                 Found::Damage(Damage { file: self.file.clone(), bytes, tail })
             }
         }))
