@@ -29,6 +29,7 @@ fn random_frames_beside_an_owner_panic_nothing_hang_nothing_and_write_nothing() 
     let address = server.local_addr();
     let mut owner = Client::connect(address);
     owner.write(0, &[ENABLE]);
+    owner.wait(READY, 0); // the station has told how it is
     let fuzzers: Vec<_> = (0..CLIENTS as u64)
         .map(|seed| std::thread::spawn(move || fuzz(address, seed, frames.div_ceil(CLIENTS))))
         .collect();
