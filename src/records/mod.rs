@@ -36,4 +36,4 @@ pub use recorder::Recorder;
 pub use reference::Reference;
 pub use replay::{Replayed, With, replay, replay_json, replay_table};
 pub use report::{csv, json, json_lines, table};
-pub use time::{parse_time, time_text};
+pub use time::parse_time;

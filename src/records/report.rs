@@ -1,7 +1,8 @@
 //! Records for people and for other programs. In: records. Out: a table, JSON, JSON Lines, CSV.
 //! Text that came over the wire is shown without control characters; in JSON it is escaped.
 
-use super::{CAPTURES, Event, Record, Vehicle, capture_name, time_text};
+use super::{CAPTURES, Event, Record, Vehicle, capture_name};
+use crate::time::moment;
 use serde_json::{Map, Value, json};
 use std::fmt::Write;
 use std::path::Path;
@@ -13,7 +14,7 @@ pub fn table(folder: &Path, records: &[Record]) -> String {
         "record", "time, UTC", "VIN", "job", "verdict", "x mm", "y mm", "z mm", "roll °", "pitch °", "yaw °", "ms"
     );
     for r in records {
-        let time = time_text(r.at_ms);
+        let time = moment(r.at_ms);
         let (kind, code, sentence) = match &r.event {
             Event::Vehicle(v) => {
                 let pose = pose(v);
@@ -65,7 +66,7 @@ pub fn json_lines(folder: &Path, records: &[Record]) -> String {
 fn object(folder: &Path, r: &Record) -> String {
     let mut head = Map::new();
     head.insert("record".into(), r.id.into());
-    head.insert("at".into(), time_text(r.at_ms).into());
+    head.insert("at".into(), moment(r.at_ms).into());
     head.insert("software".into(), r.software.clone().into());
     let (kind, fields, measurement) = match &r.event {
         Event::Vehicle(v) => {
@@ -104,7 +105,7 @@ pub fn csv(folder: &Path, records: &[Record]) -> String {
         let u = ["x_mm", "y_mm", "z_mm", "roll_deg", "pitch_deg", "yaw_deg"].map(|k| m["uncertainty_k2"][k].as_f64());
         let mut fields = vec![
             r.id.to_string(),
-            time_text(r.at_ms),
+            moment(r.at_ms),
             field(&v.vin),
             v.trigger_id.to_string(),
             v.job.to_string(),

@@ -1,20 +1,7 @@
-//! Times in records: ms since 1970, and their text. In: either. Out: the other. Always UTC.
-//! Howard Hinnant, "chrono-compatible low-level date algorithms": `civil_from_days`, `days_from_civil`.
+//! A time that a person wrote, in UTC. In: text. Out: ms since 1970. The other way is [`crate::time::moment`].
+//! Howard Hinnant, "chrono-compatible low-level date algorithms": `days_from_civil`.
 
 const DAY_MS: u64 = 86_400_000;
-
-/// As "2026-11-22T05:00:00.123Z".
-pub fn time_text(ms: u64) -> String {
-    let z = ms / DAY_MS + 719_468; // days since 0000-03-01
-    let (era, day) = (z / 146_097, z % 146_097); // of 400 years
-    let year = (day - day / 1460 + day / 36_524 - day / 146_096) / 365;
-    let day = day - (365 * year + year / 4 - year / 100); // from 1 March on
-    let month = (5 * day + 2) / 153; // 0: March
-    let d = day - (153 * month + 2) / 5 + 1;
-    let (m, y) = if month < 10 { (month + 3, era * 400 + year) } else { (month - 9, era * 400 + year + 1) };
-    let (h, min, s, ms) = (ms / 3_600_000 % 24, ms / 60_000 % 60, ms / 1000 % 60, ms % 1000);
-    format!("{y:04}-{m:02}-{d:02}T{h:02}:{min:02}:{s:02}.{ms:03}Z")
-}
 
 /// The time in `text`: a day (its beginning), or a day and a time to minutes, seconds or fractions, with or without the
 /// Z of UTC. None before 1970 or of another form.
@@ -58,6 +45,7 @@ fn number(text: &str, digits: usize) -> Option<u64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::time::moment as time_text;
 
     #[test]
     fn known_times_are_written_and_read() {

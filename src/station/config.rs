@@ -3,6 +3,7 @@
 
 use crate::calibrate::{Board, VerifyLimits};
 use crate::document::{self, Check, Error};
+use crate::plc::WordOrder;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -142,16 +143,6 @@ pub struct PlcKeys {
     pub word_order: WordOrder,
     /// PLC_HEARTBEAT changes within.
     pub heartbeat_s: f64,
-}
-
-/// Which half of a 32-bit number comes first.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
-#[serde(rename_all = "kebab-case")]
-#[expect(missing_docs, reason = "the names say it")]
-pub enum WordOrder {
-    #[default]
-    HighFirst,
-    LowFirst,
 }
 
 /// `[jobs]`

@@ -22,7 +22,6 @@ pub use acquire::{Budget, LIMIT};
 pub use config::{
     ArtefactKeys, CameraKeys, CameraKind, CycleKeys, JobsKeys, KEYS, Key, LightsKeys, LightsKind, PlcKeys,
     PresenceKeys, PresenceKind, ProjectorKeys, ProjectorKind, RecordsKeys, SimulationKeys, StationFile, TriggerKind,
-    WordOrder,
 };
 pub use counters::Durations;
 pub use hardware::Hardware;

@@ -8,7 +8,7 @@ mod view;
 
 use super::Status;
 use crate::Calibration;
-use crate::plc::{self, Identity, ORDERS, Report, Server, State, WordOrder};
+use crate::plc::{self, Identity, ORDERS, Report, Server, State};
 use crate::records::Fault;
 use crate::station::{Hardware, Machine, Pace, Parts, Simulated, StationFile, Store, Traffic, TriggerKind, load_all};
 use anyhow::Context;
@@ -172,10 +172,7 @@ fn server(config: &StationFile) -> anyhow::Result<plc::Config> {
     Ok(plc::Config {
         listen,
         allow: allow.context("plc.allow")?,
-        word_order: match keys.word_order {
-            crate::station::WordOrder::HighFirst => WordOrder::HighFirst,
-            crate::station::WordOrder::LowFirst => WordOrder::LowFirst,
-        },
+        word_order: keys.word_order,
         heartbeat_timeout: Duration::from_secs_f64(keys.heartbeat_s),
         presence: config.cycle.trigger == TriggerKind::Presence,
         patience: PATIENCE,
