@@ -58,6 +58,12 @@ const EDGE_SHIFT_MM: f64 = 0.02;
 /// ends would be hidden by blur and by what lies in the gap; edges are moved on by this share of their softness, as if
 /// the profile ran straight on to a quarter of the contrast. More would follow the blur.
 const SILHOUETTE: f64 = 0.25;
+/// Where the light comes from, camera frame: the bars stand at both sides of the camera, equally far and bright.
+const LIGHT: Vector3<f64> = Vector3::new(0.0, 0.0, -1.0);
+/// A hem that turns away from a panel stays bright for longer where the panel leans so that the light comes from beyond
+/// the hem: a radius r fades to half where it has turned by 60°, and per radian that the panel leans its edge moves by
+/// r·cos 60°. Found on the independent captures over 12.5° of yaw, where it was 0.09 mm at the features' centroid.
+const HEM_LIGHT_MM: f64 = 0.35;
 /// Least share of a contour that must be seen.
 const MIN_SHARE: f64 = 0.55;
 /// An ellipse must be seen all around and have the taught size.
@@ -74,6 +80,8 @@ pub(crate) fn on_panel(rays: &[EdgeRay], patch: &Patch, depth_mm: f64, reach_mm:
     let local = &patch.surface.local;
     let normal: Vector3<f64> = local.axes.column(2).into();
     let height = normal.dot(&local.origin.xyz);
+    let light: Vector3<f64> = local.axes.transpose() * LIGHT;
+    let slant = light.xy() / light.z;
     let near = |ray: &Vector3<f64>| {
         local.coordinates(Point3::new(ray * (height / normal.dot(ray)))).xy().norm() <= 1.1 * reach_mm
     };
@@ -82,8 +90,10 @@ pub(crate) fn on_panel(rays: &[EdgeRay], patch: &Patch, depth_mm: f64, reach_mm:
         let bright = patch.surface.meet(&e.bright, depth_mm)?;
         let step = (bright - at).xy();
         let variance = e.edgel.variance * step.norm_squared() + EDGE_SHIFT_MM.powi(2);
-        let position = at.xy() - step * (SILHOUETTE * e.softness_px);
-        Some(PanelEdge { point: ContourPoint { position, normal: step.normalize(), variance }, w: at.z, ray: k })
+        let normal = step.normalize();
+        let moved_on = step * (SILHOUETTE * e.softness_px) + normal * (HEM_LIGHT_MM * normal.dot(&slant));
+        let position = at.xy() - moved_on;
+        Some(PanelEdge { point: ContourPoint { position, normal, variance }, w: at.z, ray: k })
     };
     rays.iter()
         .enumerate()
