@@ -2,7 +2,8 @@
 //! what it shows can be taught and measured.
 //!
 //! Beside the captures of an independent renderer it is compared where the variable DATUM_DATA names their folder.
-//! The table of many vehicles is asked for: `DATUM_VEHICLES=200 cargo test --release --test simulation many -- --nocapture`.
+//! The table of many vehicles is asked for: `DATUM_VEHICLES=200 cargo test --release --test simulation many -- --nocapture`;
+//! `DATUM_VEHICLES=17,62` looks at some of them.
 //! `DATUM_BARS_MM=690` sets the bars where the independent captures have them, and some poses mirror one on a feature;
 //! `DATUM_REPEAT=1` repeats the first fringe image at the end.
 
@@ -493,17 +494,23 @@ fn vehicle(setup: &Arc<Setup>, repeat: bool, k: u64) -> Row {
 #[test]
 fn many_vehicles_are_measured() {
     let asked = std::env::var("DATUM_VEHICLES").ok();
-    let Some(n) = asked.and_then(|n| n.parse::<u64>().ok()) else {
+    let Some(asked) = asked else {
         eprintln!("skipped: DATUM_VEHICLES not set");
         return;
     };
+    let numbers: Vec<u64> = match asked.split_once(',') {
+        Some(_) => asked.split(',').map(|k| k.parse().expect("numbers of vehicles")).collect(),
+        None => (0..asked.parse().expect("how many vehicles, or the numbers of some")).collect(),
+    };
+    let n = numbers.len();
     let number = |name| std::env::var(name).ok().and_then(|n| n.parse::<f64>().ok());
     let mut setup = Setup::new(0.5, 8);
     if let Some(mm) = number("DATUM_BARS_MM") {
         setup.place_bars(mm);
     }
     let (setup, repeat) = (Arc::new(setup), std::env::var_os("DATUM_REPEAT").is_some());
-    let rows: Vec<Row> = (0..n)
+    let rows: Vec<Row> = numbers
+        .into_iter()
         .map(|k| {
             let row = vehicle(&setup, repeat, k);
             let d = &row.deviation;

@@ -96,8 +96,9 @@ pub struct Body {
     pub(super) gap: [f64; 3],
     /// Depth of the gaps, mm.
     pub(super) depth: f64,
-    /// Radius of the hems at gaps, mm.
+    /// Radius of the hems at gaps, mm, and of that at the flap's hole and at openings, which is drawn rather than folded.
     pub(super) hem: f64,
+    pub(super) hole_hem: f64,
     /// How this one differs.
     pub build: Build,
 }
@@ -243,7 +244,7 @@ impl Body {
         for cut in [Some(hole), self.opening.map(|(at, outline)| outline.distance(minus(p, at)))].into_iter().flatten()
         {
             if cut.mm < quarter.mm {
-                (quarter, quarter_hem) = (cut, self.hem);
+                (quarter, quarter_hem) = (cut, self.hole_hem);
             }
         }
         let beside = |part, line: Distance, k: usize| {
@@ -281,7 +282,7 @@ impl Body {
             best
         };
         let (mut above, mut height) = (BUILD_MM + STEP_MM, BUILD_MM + STEP_MM);
-        let hems = -BUILD_MM - self.hem.max(self.arch.hem);
+        let hems = -BUILD_MM - self.hem.max(self.hole_hem).max(self.arch.hem);
         while height > hems {
             if top(height).is_some_and(|found| found.0 >= height) {
                 let (mut over, mut under) = (above, height);

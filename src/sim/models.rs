@@ -26,10 +26,10 @@ struct Drawing {
     crease: Option<(f64, f64, f64)>,
     /// A small dark opening.
     opening: Option<([f64; 2], Outline)>,
-    /// Gaps: door, bumper, flap; their depth; radius of their hems; of corners.
+    /// Gaps: door, bumper, flap; their depth; radius of the hems at gaps and at the hole; of corners.
     gap: [f64; 3],
     depth: f64,
-    hem: f64,
+    hems: [f64; 2],
     corner_radius: f64,
 }
 
@@ -50,7 +50,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.6, 3.6, 3.4],
         depth: 5.0,
-        hem: 1.4,
+        hems: [1.05, 1.95],
         corner_radius: 3.0,
     },
     Drawing {
@@ -66,7 +66,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.8, 3.4, 3.2],
         depth: 4.8,
-        hem: 1.3,
+        hems: [1.0, 1.8],
         corner_radius: 3.5,
     },
     Drawing {
@@ -82,7 +82,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [4.2, 3.8, 3.0],
         depth: 5.0,
-        hem: 1.5,
+        hems: [1.1, 2.0],
         corner_radius: 4.0,
     },
     Drawing {
@@ -98,7 +98,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: Some(([-2706.0, 908.0], Ellipse([7.0, 7.0]))),
         gap: [3.4, 3.6, 2.8],
         depth: 4.2,
-        hem: 1.3,
+        hems: [1.0, 1.75],
         corner_radius: 3.0,
     },
     Drawing {
@@ -114,7 +114,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [4.0, 4.0, 3.4],
         depth: 4.6,
-        hem: 1.4,
+        hems: [1.05, 1.9],
         corner_radius: 3.6,
     },
     Drawing {
@@ -130,7 +130,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.6, 3.2, 3.0],
         depth: 4.4,
-        hem: 1.4,
+        hems: [1.05, 1.85],
         corner_radius: 2.6,
     },
     Drawing {
@@ -146,7 +146,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.4, 3.4, 2.8],
         depth: 4.4,
-        hem: 1.3,
+        hems: [1.0, 1.7],
         corner_radius: 3.0,
     },
     Drawing {
@@ -162,7 +162,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [3.6, 3.4, 3.0],
         depth: 4.6,
-        hem: 1.4,
+        hems: [1.05, 1.9],
         corner_radius: 3.2,
     },
     Drawing {
@@ -178,7 +178,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: None,
         gap: [4.0, 3.4, 3.2],
         depth: 4.8,
-        hem: 1.4,
+        hems: [1.05, 1.85],
         corner_radius: 3.8,
     },
     Drawing {
@@ -194,7 +194,7 @@ const DRAWINGS: [Drawing; 10] = [
         opening: Some(([-2716.0, 868.0], Rounded([10.0, 6.0], 4.0))),
         gap: [3.5, 3.4, 3.1],
         depth: 4.4,
-        hem: 1.3,
+        hems: [1.0, 1.8],
         corner_radius: 3.0,
     },
 ];
@@ -226,7 +226,8 @@ impl Drawing {
             opening: self.opening,
             gap: self.gap,
             depth: self.depth,
-            hem: self.hem,
+            hem: self.hems[0],
+            hole_hem: self.hems[1],
             build: Build::default(),
         }
     }
@@ -300,7 +301,7 @@ fn draw(r: &mut Random, seed: u64) -> Body {
         opening: None,
         gap: [r.between(3.2, 4.4), r.between(3.2, 4.2), r.between(2.6, 3.4)],
         depth: r.between(4.0, 5.0),
-        hem: r.between(1.25, 1.5),
+        hems: [r.between(0.95, 1.15), r.between(1.6, 2.0)],
         corner_radius: r.between(2.5, 4.0),
     };
     let mut body = drawing.body(900 + u16::try_from(seed % 100).expect("less than a hundred"));
