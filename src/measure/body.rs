@@ -24,12 +24,19 @@ impl<'a> Site<'a> {
         Self { local, panel, hole_mm: panel.hole_mm() }
     }
 
+    /// Every how many rows and columns its pixels are looked at.
+    fn step(&self) -> usize {
+        if self.hole_mm > WIDE_HOLE_MM { 2 } else { 1 }
+    }
+
     /// Of the patches about it, mm.
     fn radii(&self) -> [f64; 4] {
         RADII_MM.map(|r| r + self.hole_mm)
     }
 }
 
+/// A hole beyond which every second pixel of every second row is enough for a patch about it, mm.
+const WIDE_HOLE_MM: f64 = 30.0;
 /// Side of a cell, mm: several pixels, and well below the radius of any flare.
 const CELL_MM: f64 = 3.0;
 const COARSE_CELL_MM: f64 = 6.0;
@@ -144,7 +151,7 @@ pub(crate) fn panel_states(
 }
 
 /// The rays that meet the local plane of `site` within `reach_mm` on its panel, each with its index in the window and
-/// its local (u, v) there.
+/// its local (u, v) there. About a flap's hole, where a patch is several times as large as at a corner, one of four.
 pub(crate) fn panel_pixels(
     rays: &Rays,
     camera: &Lens,
@@ -162,9 +169,11 @@ pub(crate) fn panel_pixels(
     };
     let plane = OnPlane::new(&site.local);
     let columns = range(centre.x, window.x, window.width);
-    for y in range(centre.y, window.y, window.height) {
-        let first = y * window.width + columns.start;
-        for (i, ray) in (first..).zip(rays.part(first..y * window.width + columns.end)) {
+    let step = site.step();
+    for y in range(centre.y, window.y, window.height).filter(|y| y.is_multiple_of(step)) {
+        let first = y * window.width + columns.start.next_multiple_of(step);
+        let rays = rays.part(first..(y * window.width + columns.end).max(first));
+        for (i, ray) in (first..).zip(rays).step_by(step) {
             let uv = plane.meet(ray);
             if uv.norm_squared() <= reach_mm * reach_mm && site.panel.contains(&uv) {
                 visit(i, &ray.push(1.0), &uv);
@@ -196,6 +205,8 @@ impl OnPlane {
     }
 }
 
+/// Points that are enough for a cell of the coarse surface.
+const COARSE_POINTS: f64 = 25.0;
 /// Cells of the coarse surface to each side of its middle: more than any camera sees of a body at this distance.
 const COARSE_CELLS: i32 = 128;
 
@@ -207,9 +218,12 @@ pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> O
     let side = 2 * COARSE_CELLS as usize;
     let of_site = |site: &Site<'_>| {
         let mut points: Vec<(u32, Vector3<f64>, f64)> = Vec::new(); // cell, local coordinates, variance
+        let pixels_of_cell = (COARSE_CELL_MM * camera.fx / middle.z / site.step() as f64).powi(2);
+        let (every, mut number) = ((pixels_of_cell / COARSE_POINTS) as usize, 0usize);
         panel_pixels(map.rays, camera, site, site.radii()[3], |i, ray, _| {
             let depth = &map.pixels[i];
-            if depth.state == State::Valid {
+            number += 1;
+            if number.is_multiple_of(every.max(1)) && depth.state == State::Valid {
                 let c = local.coordinates(Point3::new(ray * f64::from(depth.z)));
                 let [i, j] = cell_index(&c.xy(), COARSE_CELL_MM).map(|k| k + COARSE_CELLS);
                 let inside = 0..2 * COARSE_CELLS;

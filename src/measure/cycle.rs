@@ -49,8 +49,8 @@ const MARGIN_USED_MM: f64 = 7.0;
 const EDGE_MARGIN_MM: f64 = 5.0;
 /// Passes over all features; the pose is still by then.
 const MAX_PASSES: usize = 6;
-/// Rotation (rad) and translation (mm) below which a pass has changed nothing.
-const STILL: (f64, f64) = (1e-6, 1e-4);
+/// Rotation (rad) and translation (mm) below which a pass is the last: the next would change a tenth of it.
+const STILL: (f64, f64) = (1e-5, 2e-3);
 /// How far from its expected place a contour is looked for: at first, and once the pose is good, mm.
 const CAPTURE_MM: (f64, f64) = (5.0, 1.5);
 /// How far inside the panel's border depth is believed: while the pose is coarse, and after, mm.

@@ -106,14 +106,23 @@ fn reach_px(camera: &Lens) -> f64 {
 const NEIGHBOURS_PX: f64 = 8.0;
 const SAME_EDGE: f64 = 0.9;
 
+/// An edge begins with this share of the body's level per px, which blur sets, or per mm on the body, which a wide hem sets
+/// where pixels are fine: whichever is less.
+const LEAST_SLOPE: [f64; 2] = [0.1, 0.18];
+/// Smoothing before edges are looked for, mm on the body and never less than the filter's own: a hem that fades over many
+/// fine pixels would have several maxima of slope side by side.
+const SMOOTHING_MM: f64 = 0.39;
+
 /// Pixels beyond a window that its edges' profiles and gradients may reach, besides the profiles' own reach.
 const PAD_PX: usize = 10;
 
 /// The edges inside each of `windows`; glints do not count.
 pub(crate) fn edge_rays(image: &Image<f32>, windows: &[Window], noise: &NoiseLaw, camera: &Lens) -> Vec<Vec<EdgeRay>> {
     let levels = Levels::new(image);
-    let contrast = 0.1 * levels.median().max(20.0);
-    let filter = EdgeFilter { start: (10.0, contrast), keep: (5.0, 0.4 * contrast), ..EdgeFilter::default() };
+    let contrast = levels.median().max(20.0) * LEAST_SLOPE[0].min(LEAST_SLOPE[1] * TYPICAL_DISTANCE_MM / camera.fx);
+    let plain = EdgeFilter::default();
+    let sigma = plain.sigma.max(SMOOTHING_MM * camera.fx / TYPICAL_DISTANCE_MM);
+    let filter = EdgeFilter { sigma, start: (10.0, contrast), keep: (5.0, 0.4 * contrast) };
     let reach = reach_px(camera);
     let inside = |window: &Window| {
         let pad = reach.ceil() as usize + PAD_PX;
