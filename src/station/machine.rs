@@ -24,7 +24,7 @@ use crate::plc::{
 use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
@@ -435,7 +435,10 @@ impl Machine {
             self.tell(refused);
             return None;
         };
-        let folder = std::env::temp_dir().join(format!("datum-verify-{}", std::process::id()));
+        // of this verification only: a process may hold several stations
+        static NUMBER: AtomicUsize = AtomicUsize::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let folder = std::env::temp_dir().join(format!("datum-verify-{}-{number}", std::process::id()));
         let (pulse, stop) = (&self.parts.pulse, &self.parts.stop);
         let mut go_on = || {
             pulse.beat();

@@ -78,10 +78,10 @@ fn albedo(board: &Board, p: &Vector2<f64>) -> f64 {
 }
 
 /// What one ray of light within a pixel meets: albedo, projector column and row.
-type Met = (f32, Option<(f32, f32)>);
+pub(crate) type Met = (f32, Option<(f32, f32)>);
 
 /// Rays per pixel along each side.
-const RAYS: usize = 4;
+pub(crate) const RAYS: usize = 4;
 /// Width of what a pixel sees, px: its own size and some blur.
 const WIDTH: f64 = 1.6;
 
@@ -97,12 +97,8 @@ fn meet(rig: &Rig, board: &Board, pose: &CameraFromBoard, x: f64, y: f64) -> Met
     (albedo(board, &on_board) as f32, lit.map(|l| (l.x as f32, l.y as f32)))
 }
 
-/// Writes a capture of `board` at `pose` into `folder`: columns of 1, 8 and 40 fringes, rows of 1, 8 and 25 if `rows`, four
-/// steps each, with shot and read noise, ambient light and a projector that is darker towards its edges.
-pub(crate) fn write_capture(folder: &Path, rig: &Rig, board: &Board, pose: &CameraFromBoard, rows: bool, seed: u64) {
-    const GAIN: f64 = 0.032;
-    const READ_E: f64 = 6.0;
-    std::fs::create_dir_all(folder).expect("the target folder is writable");
+/// What every ray of light of every pixel meets, [`RAYS`]² to a pixel, row by row.
+pub(crate) fn meet_all(rig: &Rig, board: &Board, pose: &CameraFromBoard) -> Vec<Met> {
     let (w, h) = (rig.camera.width, rig.camera.height);
     let step = WIDTH / RAYS as f64;
     let ray = |i: usize| {
@@ -112,7 +108,17 @@ pub(crate) fn write_capture(folder: &Path, rig: &Rig, board: &Board, pose: &Came
         let off = |k: usize, other: usize| (k as f64 + (other as f64 + 0.5) / RAYS as f64) * step - WIDTH / 2.0;
         meet(rig, board, pose, (pixel % w) as f64 + off(i, j), (pixel / w) as f64 + off(j, i))
     };
-    let rays: Vec<Met> = (0..w * h * RAYS * RAYS).map(ray).collect();
+    (0..w * h * RAYS * RAYS).map(ray).collect()
+}
+
+/// Writes a capture of `board` at `pose` into `folder`: columns of 1, 8 and 40 fringes, rows of 1, 8 and 25 if `rows`, four
+/// steps each, with shot and read noise, ambient light and a projector that is darker towards its edges.
+pub(crate) fn write_capture(folder: &Path, rig: &Rig, board: &Board, pose: &CameraFromBoard, rows: bool, seed: u64) {
+    const GAIN: f64 = 0.032;
+    const READ_E: f64 = 6.0;
+    std::fs::create_dir_all(folder).expect("the target folder is writable");
+    let (w, h) = (rig.camera.width, rig.camera.height);
+    let rays = meet_all(rig, board, pose);
     let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
     let mut gauss = || {
         // the sum of four uniform numbers of variance 1/12 is Gaussian enough for sensor noise
