@@ -11,6 +11,7 @@ pub mod capture;
 pub mod cli;
 pub mod code;
 pub mod contour;
+pub mod dataset;
 pub mod document;
 pub mod fringe;
 pub mod geometry;
