@@ -12,6 +12,7 @@ pub mod cli;
 pub mod code;
 pub mod contour;
 pub mod dataset;
+pub mod detect;
 pub mod document;
 pub mod fringe;
 pub mod geometry;

@@ -226,7 +226,7 @@ mod tests {
         }
         let dark = layers.brightness(&Lit { bars: [0.5; 2], ambient: 0.0, picture: None }, 0.01);
         let bright = layers.brightness(&Lit { bars: [1.0; 2], ambient: 0.0, picture: None }, 0.7);
-        assert!(dark > 0.0 && bright > 20.0 * dark, "the wheelhouse {dark}, the body {bright}");
+        assert!((0.0..1.0).contains(&dark) && bright > 100.0, "the wheelhouse {dark}, the body {bright}");
         // some pixels of a row that crosses the flap's gap see two parts
         assert!(layers.rows.iter().any(|r| !r.further.is_empty()));
     }
