@@ -1,8 +1,10 @@
 //! The detector on networks made by hand (tests/data/detector/make.py): what is found where, and what is refused how.
 
-use datum::Image;
 use datum::detect::{DetectError, Detector};
+use datum::measure::{Measurer, measure};
+use datum::{Calibration, Capture, Image, VehicleFile};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/detector").join(name)
@@ -71,4 +73,25 @@ fn an_output_that_is_no_number_is_an_error() {
     assert!(detector.detect(&Image::filled(64, 64, 200), 255.0).is_ok());
     let e = detector.detect(&image((64, 64), (1, 1)), 4095.0).expect_err("no number");
     assert!(matches!(e, DetectError::NotFinite { .. }) && e.to_string().contains("only-in-light.onnx"), "{e}");
+}
+
+#[test]
+fn a_detector_that_fails_or_finds_nothing_leaves_the_measurement_as_it_is_without_one() {
+    let station = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/station");
+    let capture = Capture::open(&station.join("moved")).expect("test data");
+    let result = |detector: Option<&str>| {
+        let calibration = Calibration::read(&station.join("calibration.toml")).expect("test data");
+        let vehicle = VehicleFile::read(&station.join("vehicle/suv-a.toml")).expect("test data");
+        let detector = detector.map(|name| Arc::new(Detector::read(&file(name)).expect(name)));
+        let measurer = Measurer::new(calibration, vehicle).expect("test data").with_detector(detector);
+        measure(&measurer, &capture, &mut |_| ()).expect("test data").0
+    };
+    let without = result(None);
+    assert!(without.warning.is_none() && without.features.iter().all(|f| f.region.as_deref() == Some("search")));
+    let failed = result(Some("only-in-light.onnx"));
+    let warning = failed.warning.clone().expect("it failed");
+    assert!(warning.contains("only-in-light.onnx: the network's output is not finite"), "{warning}");
+    for with in [failed, result(Some("usual.onnx"))] {
+        assert_eq!(datum::measure::json(&[with]), datum::measure::json(std::slice::from_ref(&without)));
+    }
 }

@@ -1,16 +1,10 @@
-//! What a detector is to find of a feature: a box about an outline on the panel.
-//! In:  a class, the flap's outline, how the panel is seen, what is hidden. Out: the box in the image, or none where too
-//! little of it can be seen. Outlines: mm on the panel from the feature. Not here: where features are.
+//! What a detector is to find of a feature: the box about an outline on the panel.
+//! In:  the outline, how the panel is seen, what is hidden. Out: the box in the image, or none where too little of it can be
+//! seen. Not here: where features are, and what their outlines.
 
 use crate::optics::Pixel;
 use crate::vehicle::Class;
 
-/// Half the side of the square about a corner, mm.
-const CORNER_MM: f64 = 45.0;
-/// Half the sides of the box about an arch's top, along and up, mm.
-const ARCH_MM: [f64; 2] = [60.0, 30.0];
-/// A flap's box is larger than the flap by this factor.
-const FLAP: f64 = 1.1;
 /// Boxes are labelled of which at least this share can be seen: in the image, and nothing before it.
 pub const VISIBLE: f64 = 0.7;
 
@@ -31,34 +25,6 @@ impl Labelled {
         let (x, y) = ((0.5 * (left + right) + 0.5) / w, (0.5 * (top + bottom) + 0.5) / h);
         format!("{} {x:.6} {y:.6} {:.6} {:.6}\n", self.class, (right - left) / w, (bottom - top) / h)
     }
-}
-
-/// The outline of a feature's box, in turn about its middle; `flap` is that of the flap.
-/// Points are so far apart that each sector of it has about the same area.
-pub fn outline(class: Class, flap: &[[f64; 2]]) -> Vec<[f64; 2]> {
-    match class {
-        Class::Point1 | Class::Point2 => rectangle([CORNER_MM; 2]),
-        Class::Point4 => rectangle(ARCH_MM),
-        Class::Point3 => {
-            let n = flap.len().max(1) as f64;
-            let middle = [0, 1].map(|i| flap.iter().map(|p| p[i]).sum::<f64>() / n);
-            flap.iter().map(|p| [0, 1].map(|i| middle[i] + FLAP * (p[i] - middle[i]))).collect()
-        }
-    }
-}
-
-/// As many points on each side, corners included.
-fn rectangle([a, b]: [f64; 2]) -> Vec<[f64; 2]> {
-    const SIDE: usize = 16;
-    let corners = [[a, b], [-a, b], [-a, -b], [a, -b]];
-    let side = |k: usize| {
-        let (from, to) = (corners[k], corners[(k + 1) % 4]);
-        (0..SIDE).map(move |i| {
-            let t = i as f64 / SIDE as f64;
-            [0, 1].map(|j| from[j] + t * (to[j] - from[j]))
-        })
-    };
-    (0..4).flat_map(side).collect()
 }
 
 /// The upright box about `outline` as `seen` in an image, clipped to it; none where less than [`VISIBLE`] of it is in the
@@ -99,11 +65,12 @@ pub fn boxed(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::vehicle::region_outline;
 
     /// One px a mm, the feature at `at`.
     fn at(x: f64, y: f64, class: Class, hidden: impl Fn(&Pixel) -> bool) -> Option<Labelled> {
-        let flap: Vec<[f64; 2]> = rectangle([20.0, 10.0]);
-        boxed(class, &outline(class, &flap), (200, 100), |p| Some(Pixel::new(x + p[0], y - p[1])), hidden)
+        let flap = [[20.0, 10.0], [-20.0, 10.0], [-20.0, -10.0], [20.0, -10.0]];
+        boxed(class, &region_outline(class, &flap), (200, 100), |p| Some(Pixel::new(x + p[0], y - p[1])), hidden)
     }
 
     #[test]

@@ -10,7 +10,7 @@ mod folder;
 mod things;
 mod view;
 
-pub use boxes::{Labelled, VISIBLE, boxed, outline};
+pub use boxes::{Labelled, VISIBLE, boxed};
 pub use folder::{Folder, Row, WriteError};
 pub use view::{Kind, View, view};
 

@@ -6,13 +6,13 @@
 //! well inside of what was learned.
 
 use super::PER_BODY;
-use super::boxes::{Labelled, boxed, outline};
+use super::boxes::{Labelled, boxed};
 use super::things::Thing;
 use crate::geometry::Point3;
 use crate::image::Image;
 use crate::optics::Pixel;
 use crate::sim::{BARS_MM, Body, Build, Deviation, Dirt, Layers, Lit, PAINTS, Random, Scene, Setup, Take, expose};
-use crate::vehicle::Class;
+use crate::vehicle::{Class, region_outline};
 use nalgebra::Vector3;
 use std::time::Duration;
 
@@ -107,7 +107,7 @@ fn vehicle(setup: &Setup, seed: u64, number: u64, kind: Kind, random: &mut Rando
             let p = Vector3::from(scene.body.on_surface([f.at[0] + along, f.at[2] + up]));
             setup.rig.camera.project(&(scene.camera_from_vehicle * Point3::new(p)).xyz)
         };
-        boxed(class, &outline(class, &flap), size, seen, hidden)
+        boxed(class, &region_outline(class, &flap), size, seen, hidden)
     });
     let boxes = boxes.collect();
     let classes = features.iter().map(|f| usize::from(f.class) - 1).collect();
