@@ -1,16 +1,20 @@
-//! Labelled images to train a detector with: vehicles drawn at random in the simulated station, and empty halls.
-//! In:  a seed, a number, a setup. Out: a grey image and the boxes of what can be seen in it; a folder in YOLO's format.
+//! Labelled images to train a detector with: vehicles drawn at random in the simulated station, and empty halls; or a
+//! plant's own vehicles from its captures.
+//! In:  a seed, a number, a setup; or a capture. Out: a grey image and the boxes of what can be seen in it; a folder in
+//! YOLO's format.
 //! Not here: training; augmentations, which belong after the split; what a detector makes of it.
 //!
 //! Images are split by body: all of one body's are for training, for choosing between trainings, or for the test. The
 //! models with names are never drawn, so that they stay unseen as well.
 
 mod boxes;
+mod captured;
 mod folder;
 mod things;
 mod view;
 
 pub use boxes::{Labelled, VISIBLE, boxed};
+pub use captured::{Captured, captured};
 pub use folder::{Folder, Row, WriteError};
 pub use view::{Kind, View, view};
 
@@ -35,6 +39,11 @@ impl Split {
     /// Of image `number`: 70, 15 and 15 % of the bodies.
     pub fn of(number: u64) -> Self {
         Self::of_body(number / PER_BODY)
+    }
+
+    /// Of all images of what is called so.
+    pub fn of_name(name: &str) -> Self {
+        Self::of_body(crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(name.as_bytes()).into())
     }
 
     fn of_body(body: u64) -> Self {
