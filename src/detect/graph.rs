@@ -178,13 +178,14 @@ fn logits(graph: &GraphProto) -> Option<Vec<String>> {
         graph.node.iter().flat_map(|n| n.output.iter().map(move |o| (o.as_str(), n))).collect();
     let maker = |name: &str| makers.get(name).copied();
     let end = maker(&graph.output[0].name)?;
-    let [boxes, scores] = &end.input[..] else { return None };
+    // boxes as one value, or middles and sizes as two
+    let (scores, boxes) = end.input.split_last()?;
     let sigmoid = maker(scores)?;
     if end.op_type != "Concat" || sigmoid.op_type != "Sigmoid" {
         return None;
     }
     // the softmax is the last one on any way to the boxes
-    let (mut open, mut seen) = (vec![boxes.as_str()], Vec::new());
+    let (mut open, mut seen) = (boxes.iter().map(String::as_str).collect::<Vec<_>>(), Vec::new());
     let softmax = loop {
         let name = open.pop()?;
         let Some(node) = maker(name).filter(|_| !seen.contains(&name)) else { continue };

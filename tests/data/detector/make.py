@@ -26,7 +26,7 @@ class Net:
 
 
 def write(name, size=(64, 64), channels=1, classes=4, bias=None, apart=False, twist=False, shape=None, light=False):
-    """`light`: dark images give no numbers; `apart`: bins and classes are never one value; `twist`: the head is not the usual one, though it looks so."""
+    """`light`: dark images give no numbers; `apart`: bins and classes are never one value, nor are middles and sizes; `twist`: the head is not the usual one, though it looks so."""
     net, (height, width) = Net(), size
     rows = BOX_LOGITS + classes
     scales, anchors, strides = [], [], []
@@ -84,10 +84,14 @@ def write(name, size=(64, 64), channels=1, classes=4, bias=None, apart=False, tw
     net.node("Add", ["first", "last"], ["sum"])
     net.node("Div", ["sum", net.constant("two", np.float32(2.0))], ["middle"])
     net.node("Sub", ["last", "first"], ["extent"])
-    net.node("Concat", ["middle", "extent"], ["cells"], axis=1)
-    net.node("Mul", ["cells", net.constant("strides", stride[None, None])], ["boxes"])
+    net.constant("strides", stride[None, None])
     net.node("Sigmoid", ["cls"], ["scores"])
-    net.node("Concat", ["boxes", "scores"], ["output0"], axis=1)
+    if apart:
+        boxes = [net.node("Mul", [part, "strides"], [part + "px"]) for part in ("middle", "extent")]
+    else:
+        net.node("Concat", ["middle", "extent"], ["cells"], axis=1)
+        boxes = [net.node("Mul", ["cells", "strides"], ["boxes"])]
+    net.node("Concat", [*boxes, "scores"], ["output0"], axis=1)
     image = helper.make_tensor_value_info("images", TensorProto.FLOAT, shape or [1, channels, height, width])
     out = helper.make_tensor_value_info("output0", TensorProto.FLOAT, [1, 4 + classes, cells])
     graph = helper.make_graph(net.nodes, name, [image], [out], net.constants)
