@@ -11,6 +11,8 @@ pub mod capture;
 pub mod cli;
 pub mod code;
 pub mod contour;
+pub mod dataset;
+pub mod detect;
 pub mod document;
 pub mod fringe;
 pub mod geometry;

@@ -294,7 +294,7 @@ fn wrong_usage_is_status_2() {
     for (arguments, sentence) in [
         (&["measure", "c", "--method", "dense"][..], "--method dense: not available yet, allowed: points"),
         (&["measure", "c", "--method", "best"], "invalid value 'best'"),
-        (&["measure", "c", "--detector", "no.onnx"], "--detector no.onnx: not available yet, allowed: none"),
+        (&["measure", "c", "--detector", "no.onnx"], "no.onnx: cannot be read"),
         (&["measure"], "<CAPTURE>"),
     ] {
         let text = error(&bench.datum(&[arguments, &files].concat()));

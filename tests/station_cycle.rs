@@ -137,7 +137,7 @@ fn jobs_are_loaded_by_number_if_they_are_released_and_as_they_were() {
     write("006-misnamed.toml", &numbered(7));
     write("notes.toml", "nobody reads this");
     let calibration = Simulated::new(0.25, 1).calibration();
-    let found = load_all(&folder, &calibration);
+    let found = load_all(&folder, &calibration, None);
     assert_eq!(found.usable().map(|j| j.number).collect::<Vec<_>>(), [1]);
     for (job, code) in [
         (2, Code::NotReleased),

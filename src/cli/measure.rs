@@ -1,9 +1,11 @@
 //! `datum measure`: stored captures in, poses out.
 
 use super::{Status, overlay, print};
+use crate::detect::{self, Detector};
 use crate::measure::{Measurement, Measurer, Method, Stage, Timing, Verdict, json, measure, table};
 use crate::{Calibration, Capture, VehicleFile, capture};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Instant;
 
 #[derive(Debug, clap::Args)]
@@ -23,8 +25,8 @@ pub(super) struct Arguments {
     /// How the pose is measured
     #[arg(long, value_enum, default_value_t)]
     method: Method,
-    /// The detector's ONNX model; none: regions from the templates alone
-    #[arg(long, value_name = "FILE|none", default_value = "none")]
+    /// The detector's ONNX network; none: features are searched for by their templates alone
+    #[arg(long, value_name = "FILE|none", default_value = detect::DEFAULT)]
     detector: PathBuf,
     /// Writes a picture of each result into this folder
     #[arg(long, value_name = "DIR")]
@@ -36,17 +38,16 @@ pub(super) struct Arguments {
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     anyhow::ensure!(a.method == Method::Points, "--method {}: not available yet, allowed: points", name(a.method));
-    let none = a.detector == Path::new("none");
-    anyhow::ensure!(none, "--detector {}: not available yet, allowed: none", a.detector.display());
     let calibration = Calibration::read(&a.calibration)?;
     let vehicle = VehicleFile::read(&a.vehicle)?;
+    let detector = Detector::named(&a.detector)?;
     let mut ready = None;
     let mut results = Vec::new();
     for (n, folder) in a.captures.iter().enumerate() {
         if a.captures.len() > 1 {
             eprintln!("{}/{} {}", n + 1, a.captures.len(), folder.display());
         }
-        results.push(one(folder, &calibration, &vehicle, &mut ready, a).unwrap_or_else(|e| {
+        results.push(one(folder, (&calibration, &vehicle, &detector), &mut ready, a).unwrap_or_else(|e| {
             eprintln!("error: {e:#}");
             let name = capture::name_of(folder);
             Measurement::without_pose(name, Verdict::Error, None, format!("{e:#}"), a.method)
@@ -61,8 +62,7 @@ type Ready = Option<([(usize, usize); 2], Measurer)>;
 
 fn one(
     folder: &Path,
-    calibration: &Calibration,
-    vehicle: &VehicleFile,
+    (calibration, vehicle, detector): (&Calibration, &VehicleFile, &Option<Arc<Detector>>),
     ready: &mut Ready,
     a: &Arguments,
 ) -> anyhow::Result<Measurement> {
@@ -74,12 +74,15 @@ fn one(
         let calibration = calibration
             .for_sizes(sizes[0], sizes[1], a.scale_calibration)
             .map_err(|e| anyhow::Error::new(e).context(capture.file().display().to_string()))?;
-        *ready = Some((sizes, Measurer::new(calibration, vehicle.clone())?));
+        *ready = Some((sizes, Measurer::new(calibration, vehicle.clone())?.with_detector(detector.clone())));
     }
     let (_, measurer) = ready.as_ref().expect("made just now");
     let mut clock = Clock::new();
     let (mut measurement, drawing) = measure(measurer, &capture, &mut |stage| clock.ended(stage))?;
     measurement.timing_ms = clock.timing;
+    if let Some(warning) = &measurement.warning {
+        eprintln!("warning: {}: {warning}", folder.display());
+    }
     if let Some(folder) = &a.overlay {
         overlay::write(folder, &capture, &measurement, &drawing)?;
     }

@@ -3,6 +3,7 @@
 
 mod calibrate;
 mod check;
+mod dataset;
 mod measure;
 mod overlay;
 mod patterns;
@@ -44,6 +45,8 @@ enum Command {
     Registers(registers::Arguments),
     /// Writes captures of a simulated station, with their truth
     Simulate(simulate::Arguments),
+    /// Writes labelled images to train a detector with: drawn at random, or from captures
+    Dataset(dataset::Arguments),
     /// The journal: lists and exports records, measures kept captures again
     Records(Box<records::Arguments>),
 }
@@ -74,6 +77,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
         Command::Patterns(a) => patterns::run(&a),
         Command::Registers(a) => registers::run(&a),
         Command::Simulate(a) => simulate::run(&a),
+        Command::Dataset(a) => dataset::run(&a),
         Command::Records(a) => records::run(&a),
     }
 }

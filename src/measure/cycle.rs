@@ -10,8 +10,8 @@ use super::judge::{self, Evidence, Judged, Refused};
 use super::light::{Light, saturated_share};
 use super::locate::{Located, locate};
 use super::moved::Motion;
-use super::regions::{self, Region};
-use super::{Drawing, Measurement, Measurer, TYPICAL_DISTANCE_MM};
+use super::regions::Region;
+use super::{Drawing, Measurement, Measurer, TYPICAL_DISTANCE_MM, detected};
 use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
 use crate::fringe::{self, Axis, Coordinate, Depth, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
@@ -107,6 +107,8 @@ pub struct Cycle<'a> {
     /// Where edges were looked for before there was depth, and the edges; nowhere where their noise was not known.
     early_edges: Option<(Vec<Window>, Vec<Vec<EdgeRay>>)>,
     pub(super) moved: bool,
+    /// Of the detector.
+    warning: Option<String>,
 }
 
 impl Drop for Cycle<'_> {
@@ -129,15 +131,14 @@ impl<'a> Cycle<'a> {
         let mut buffers = measurer.buffers();
         let Buffers { red: as_f32, rays, wanted, fringes, .. } = &mut buffers;
         ambient::without_into(red, ambient, &capture.camera, as_f32);
-        let mut regions = regions::find(as_f32, camera, &measurer.templates);
-        let first_pose = regions::first_pose(camera, &measurer.templates, &mut regions);
+        let white = capture.camera.white_level();
+        let detected::Regions { regions, pose: first_pose, warning } = detected::regions(measurer, red, white, as_f32);
         let window = first_pose.and_then(|pose| depth_window(measurer, &pose)).unwrap_or(Window::whole(1, 1));
         rays.renew(&measurer.depth_rig.camera, window);
         wanted.clear();
         if let Some(pose) = first_pose {
             want(measurer, &pose, rays, wanted);
         }
-        let white = capture.camera.white_level();
         let red_saturated = measurer
             .templates
             .iter()
@@ -152,7 +153,8 @@ impl<'a> Cycle<'a> {
         });
         let (spare, wanted) = (std::mem::replace(fringes, Fringes::none()), std::mem::take(wanted));
         *fringes = Fringes::as_they_come(spare, capture, window, measurer.every, wanted);
-        Self { measurer, capture, buffers, red_saturated, regions, first_pose, light, early_edges, moved: false }
+        let moved = false;
+        Self { measurer, capture, buffers, red_saturated, regions, first_pose, light, early_edges, moved, warning }
     }
 
     /// Takes image `step` of fringe set `set`, in any order.
@@ -202,6 +204,7 @@ impl<'a> Cycle<'a> {
         measurement.calibration_health = health;
         ended(Stage::Pose);
         measurement.station = self.measurer.station();
+        measurement.warning = self.warning.clone();
         let drawing = run.drawing();
         if let Ok(decoded) = decoded {
             decoded.give_back(&mut self.buffers.fringes, &mut self.buffers.coordinates);

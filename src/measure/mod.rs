@@ -11,6 +11,7 @@ mod consistency;
 mod corner;
 mod cycle;
 mod depth;
+mod detected;
 mod edges;
 mod hem;
 mod judge;
@@ -33,11 +34,12 @@ pub use teach::{Taught, TeachError, teach};
 
 use crate::calibrate::{Calibration, ParameterCovariance, independent_errors};
 use crate::capture::{self, Capture};
+use crate::detect::Detector;
 use crate::geometry::{Polynomial, Pose, frame};
 use crate::image::Window;
 use crate::optics::{Pixel, Rig};
-use crate::vehicle::{PanelMask, Template, VehicleFile};
-use std::sync::Mutex;
+use crate::vehicle::{Feature, PanelMask, Template, VehicleFile};
+use std::sync::{Arc, Mutex};
 
 /// The design's working distance, mm: for what must be sized in pixels before depth is known.
 pub(crate) const TYPICAL_DISTANCE_MM: f64 = 750.0;
@@ -68,6 +70,8 @@ pub struct Measurer {
     /// Depth is looked at in every so many-th column and row of the images, by a rig whose camera has no others.
     every: usize,
     depth_rig: Rig,
+    /// Proposes regions; none: they are searched for.
+    detector: Option<Arc<Detector>>,
     /// Buffers of vehicles that are done.
     spare: Mutex<Vec<cycle::Buffers>>,
 }
@@ -102,8 +106,24 @@ impl Measurer {
             grown_masks,
             every,
             depth_rig,
+            detector: None,
             spare: Mutex::default(),
         }
+    }
+
+    /// The same with a detector that proposes the regions, or without one.
+    pub fn with_detector(self, detector: Option<Arc<Detector>>) -> Self {
+        Self { detector, ..self }
+    }
+
+    /// The camera and projector that it measures with.
+    pub fn rig(&self) -> &Rig {
+        &self.calibration.rig
+    }
+
+    /// The model's features, each with its template.
+    pub fn features(&self) -> impl Iterator<Item = (&Feature, &Template)> {
+        self.vehicle.features.iter().zip(&self.templates)
     }
 
     /// Begins a vehicle with its red image, whose size is the calibration's, and the one without bars and projector, if

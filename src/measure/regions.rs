@@ -1,6 +1,6 @@
 //! Where the taught features are in the red image, and a first pose from that.
 //! In:  the red image, the templates, the camera. Out: a pixel per feature with its score, and a pose good to a few mm.
-//! Not here: depth; sub-pixel contours. A learned detector may take this file's place: it, too, gives regions only.
+//! Not here: depth; sub-pixel contours; the learned detector, which gives regions, too.
 
 use crate::code::Code;
 use crate::contour::{GradientField, Match, ShapePoint};
@@ -15,8 +15,10 @@ use nalgebra::{Matrix2, Rotation3, SMatrix, SVector, Vector2, Vector3};
 pub(crate) struct Region {
     /// Where the taught point is.
     pub(crate) pixel: Pixel,
-    /// Mean cosine of the match, 0..=1.
+    /// Mean cosine of the match, or how sure the detector was, 0..=1.
     pub(crate) score: f64,
+    /// Whether the detector proposed it.
+    pub(crate) by_detector: bool,
 }
 
 /// Vehicles stand this much nearer or farther than the taught one.
@@ -60,7 +62,7 @@ pub(crate) fn find(red: &Image<f32>, camera: &Lens, templates: &[Template]) -> V
             found
         })
         .collect();
-    arrange(&candidates, camera, templates, &taught)
+    arrange(&candidates, camera, templates, &taught, 1.0)
 }
 
 /// The taught shape as it would look at each scale and turn, px about the taught point.
@@ -100,12 +102,14 @@ pub(crate) fn local_pixels_per_mm(local: &Local<frame::Camera>, camera: &Lens) -
     Matrix2::from_columns(&[(pixel(1.0, 0.0) - pixel(-1.0, 0.0)) * 0.5, (pixel(0.0, 1.0) - pixel(0.0, -1.0)) * 0.5])
 }
 
-/// Picks one candidate per feature so that they lie to each other as the taught ones do.
-fn arrange(
+/// Picks one candidate per feature so that they lie to each other as the taught ones do, within `slack` times what the
+/// search allows.
+pub(super) fn arrange(
     candidates: &[Vec<Match>],
     camera: &Lens,
     templates: &[Template],
     taught: &Pose<frame::Camera, frame::Vehicle>,
+    slack: f64,
 ) -> Vec<Result<Region, Code>> {
     let expected: Vec<Pixel> = templates
         .iter()
@@ -118,7 +122,7 @@ fn arrange(
         // the arch's place along itself is loose: it counts for little in the search
         let loose = [i, j].iter().any(|k| matches!(templates[*k].anchor, Anchor::ArchTop { .. }));
         let (stretch, angle) = if loose { (0.30, 0.35) } else { (0.15, 0.14) };
-        (ratio - 1.0).abs() < stretch && turn.abs() < angle
+        (ratio - 1.0).abs() < slack * stretch && turn.abs() < slack * angle
     };
     // every choice of a candidate or none per feature; few candidates, so few choices
     let mut best: (f64, Vec<Option<Match>>) = (0.0, vec![None; candidates.len()]);
@@ -151,14 +155,14 @@ fn arrange(
             Some(m) if alone && list.iter().any(|o| o.at != m.at && o.score > AMBIGUOUS * m.score) => {
                 Err(Code::Ambiguous)
             }
-            Some(m) => Ok(Region { pixel: m.at, score: m.score }),
+            Some(m) => Ok(Region { pixel: m.at, score: m.score, by_detector: false }),
             None => Err(Code::NotFound),
         })
         .collect()
 }
 
 /// Regions of one vehicle do not contradict each other by more than this (chi², of three or four of them).
-const CONSISTENT: f64 = 20.0;
+pub(super) const CONSISTENT: f64 = 20.0;
 
 /// The first pose. A region that contradicts the others is something else than the feature: it is given up.
 pub(crate) fn first_pose(
@@ -185,7 +189,7 @@ pub(crate) fn first_pose(
 
 /// The pose that best explains where the features were found, near the taught one: least squares on pixels, with
 /// what a vehicle can do in the station as prior. Good to a few mm and degrees; depth does the rest. With its chi².
-fn nearest_pose(
+pub(super) fn nearest_pose(
     camera: &Lens,
     templates: &[Template],
     regions: &[Result<Region, Code>],

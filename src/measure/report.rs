@@ -94,7 +94,7 @@ impl Run<'_, '_> {
                 let mut out = FeatureResult::unknown(&feature.name);
                 if let Ok(region) = &self.cycle.regions[k] {
                     out.score = Some(region.score);
-                    out.region = Some("search".into());
+                    out.region = Some(if region.by_detector { "detector" } else { "search" }.into());
                     out.pixel = Some(region.pixel.into());
                 }
                 match self.located.get(k) {

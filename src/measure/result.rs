@@ -51,6 +51,9 @@ pub struct Measurement {
     pub calibration_health: Option<Health>,
     /// How long it took.
     pub timing_ms: Timing,
+    /// What went wrong and did not matter: for the log.
+    #[serde(skip)]
+    pub warning: Option<String>,
 }
 
 /// What a measurement comes to.
@@ -185,7 +188,7 @@ pub struct FeatureResult {
     pub residual_mm: Option<f64>,
     /// How well the template matched, 0 to 1.
     pub score: Option<f64>,
-    /// What proposed its region: "detector", or how else it was found.
+    /// What proposed its region: "detector", "search" for the taught shape, or "pose": that of the other features.
     pub region: Option<String>,
 }
 
@@ -243,6 +246,7 @@ impl Measurement {
             points_minus_dense_mm: None,
             calibration_health: None,
             timing_ms: Timing::default(),
+            warning: None,
         }
     }
 }

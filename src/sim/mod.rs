@@ -16,6 +16,7 @@ mod plan;
 mod pose;
 mod projector;
 mod random;
+mod region;
 mod render;
 mod scene;
 mod sensor;

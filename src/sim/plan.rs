@@ -134,6 +134,19 @@ impl Outline {
         }
     }
 
+    /// `n` points of it about the centre, in turn.
+    pub(super) fn ring(&self, n: usize) -> Vec<Xz> {
+        let on = |k: usize| {
+            let (sin, cos) = (k as f64 / n as f64 * std::f64::consts::TAU).sin_cos();
+            match *self {
+                Self::Ellipse([a, b]) => [a * cos, b * sin],
+                // each quarter of the turn goes round one corner
+                Self::Rounded([a, b], r) => [(a - r).copysign(cos) + r * cos, (b - r).copysign(sin) + r * sin],
+            }
+        };
+        (0..n).map(on).collect()
+    }
+
     /// Half its extent along x and z, mm.
     pub(super) fn half(&self) -> [f64; 2] {
         match *self {
@@ -173,6 +186,15 @@ mod tests {
             let far = 58.0 / cos.abs().max(sin.abs()); // 2 mm inside the box, or at its corners
             is_a_distance(|p| box_.distance(p), [far * cos * 70.0 / 60.0, far * sin]);
             is_a_distance(|p| bend.distance(p), [bend.at[0] + 3.0 * cos, bend.at[1] + 3.0 * sin]);
+        }
+    }
+
+    #[test]
+    fn a_ring_lies_on_its_outline() {
+        for outline in [Outline::Ellipse([83.0, 71.0]), Outline::Rounded([70.0, 60.0], 20.0)] {
+            for p in outline.ring(50) {
+                assert!(outline.distance(p).mm.abs() < 1e-9, "{outline:?} {p:?}");
+            }
         }
     }
 

@@ -102,6 +102,18 @@ impl Layers {
         }
     }
 
+    /// Electrons per ms that `share` of the pixels stay below.
+    pub fn brightness(&self, lit: &Lit, share: f64) -> f64 {
+        let mut all = Vec::new();
+        for y in (0..self.rows.len()).step_by(5) {
+            let mut row = vec![0.0; self.rows[y].bars.len()];
+            self.electrons(y, lit, Duration::from_millis(1), &mut row);
+            all.extend(row.into_iter().step_by(5));
+        }
+        let at = ((share * all.len() as f64) as usize).min(all.len() - 1);
+        f64::from(*all.select_nth_unstable_by(at, f32::total_cmp).1)
+    }
+
     /// Rows.
     pub(super) fn height(&self) -> usize {
         self.rows.len()
@@ -212,6 +224,9 @@ mod tests {
             let sum: f32 = parts.iter().map(|p| p[x]).sum();
             assert!((all - sum).abs() <= 1e-3 * sum, "{x}: {all} {sum}");
         }
+        let dark = layers.brightness(&Lit { bars: [0.5; 2], ambient: 0.0, picture: None }, 0.01);
+        let bright = layers.brightness(&Lit { bars: [1.0; 2], ambient: 0.0, picture: None }, 0.7);
+        assert!((0.0..1.0).contains(&dark) && bright > 100.0, "the wheelhouse {dark}, the body {bright}");
         // some pixels of a row that crosses the flap's gap see two parts
         assert!(layers.rows.iter().any(|r| !r.further.is_empty()));
     }

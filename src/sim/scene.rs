@@ -141,17 +141,17 @@ impl Stage<'_> {
 
     /// How many samples a side a pixel needs that is `mm` wide there: one, unless an edge lies within its reach.
     pub(super) fn samples(&self, c: &Crossing, mm: f64) -> usize {
-        let body = &self.scene.body;
+        let (body, most) = (&self.scene.body, self.setup.samples);
         // beyond its hem a panel is flat; one that stands out is met a little beside where it is looked for
         let reach = 0.8 * mm + body.hem.max(if c.plan.outside_arch().abs() < 6.0 { body.arch.hem } else { 0.0 }) + 0.3;
         if c.plan.nearest() < reach {
-            return if mm > 0.4 { 4 } else { 3 };
+            return most.min(if mm > 0.4 { 4 } else { 3 });
         }
         let arch = c.plan.outside_arch();
         if let Some(cover) = self.scene.cover {
             let beyond = self.cover_distance(c, &cover);
             if beyond.abs() < mm {
-                return 4;
+                return most;
             }
         }
         if arch < 0.0 {
@@ -263,6 +263,9 @@ impl Stage<'_> {
         let hall =
             paint.map_or(0.0, |p| fresnel(facing) * room(-mirror.y) + p.flakes.map_or(0.0, |f| f.0 * room(-n.y)));
         glow.ambient += spot.open * setup.room_luminance * (white * room(-0.67 * n.y) + hall);
+        if setup.projector_candela == 0.0 {
+            return glow;
+        }
         let in_projector = self.projector_from_camera.r * p + self.projector_from_camera.t;
         if let Some(pixel) = setup.rig.projector.project(&in_projector)
             && reaches(0)

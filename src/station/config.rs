@@ -2,10 +2,12 @@
 //! Not here: what follows from it.
 
 use crate::calibrate::{Board, VerifyLimits};
+use crate::detect::{self, Detector};
 use crate::document::{self, Check, Error};
 use crate::plc::WordOrder;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// A station's configuration. Every key may be left out; what is then taken is the built-in simulated station.
 #[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
@@ -21,6 +23,8 @@ pub struct StationFile {
     /// calibration.toml; none: the simulated station's own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<PathBuf>,
+    /// The detector's network, or "none".
+    pub detector: PathBuf,
     /// The camera.
     pub camera: CameraKeys,
     /// The projector.
@@ -223,6 +227,7 @@ impl Default for StationFile {
             format: document::FORMAT,
             serial: "SIMULATED".into(),
             calibration: None,
+            detector: detect::DEFAULT.into(),
             camera: CameraKeys::default(),
             projector: ProjectorKeys::default(),
             lights: LightsKeys::default(),
@@ -322,6 +327,7 @@ keys! {
     "" "format": "the format of this file", "1";
     "" "serial": "what the station is called: the serial number that the PLC reads", "1 to 16 printable characters";
     "" "calibration": "calibration.toml, beside this file; left out: the simulated station's own", "a path";
+    "" "detector": "the network that proposes where features are, beside this file; \"none\": they are searched for", "a path, \"none\"";
     "camera" "kind": "how the camera is reached", "\"simulated\", \"v4l2\", \"libcamera\"";
     "camera" "longest_ms": "no exposure is longer; gain makes up for it, so that all images are taken in time", "1 to 100";
     "projector" "kind": "how the projector is reached", "\"simulated\", \"v4l2-output\", \"sequenced\"";
@@ -368,6 +374,12 @@ impl StationFile {
     /// A path that the file names: beside it, unless it is absolute.
     pub fn beside(&self, path: &Path) -> PathBuf {
         self.file.parent().map_or_else(|| path.into(), |folder| folder.join(path))
+    }
+
+    /// The detector that the file names, ready to use.
+    pub fn read_detector(&self) -> Result<Option<Arc<Detector>>, Error> {
+        let none = self.detector == Path::new("none");
+        Detector::named(&if none { self.detector.clone() } else { self.beside(&self.detector) })
     }
 
     /// The artefact's board, if there is one.

@@ -4,6 +4,7 @@
 
 use crate::calibrate::Calibration;
 use crate::code::Code;
+use crate::detect::Detector;
 use crate::document::Error;
 use crate::measure::Measurer;
 use crate::vehicle::{TemplateError, VehicleFile};
@@ -85,9 +86,10 @@ fn files(folder: &Path) -> Vec<(u16, PathBuf)> {
     found
 }
 
-/// Every job of `folder`. One that is broken is told as such, and the others are there.
-pub fn load_all(folder: &Path, calibration: &Calibration) -> Jobs {
-    let loaded: Vec<Entry> = files(folder).par_iter().map(|(number, file)| load(*number, file, calibration)).collect();
+/// Every job of `folder`, with the `detector` that all share. One that is broken is told as such, and the others are there.
+pub fn load_all(folder: &Path, calibration: &Calibration, detector: Option<&Arc<Detector>>) -> Jobs {
+    let one = |(number, file): &(u16, PathBuf)| load(*number, file, calibration, detector);
+    let loaded: Vec<Entry> = files(folder).par_iter().map(one).collect();
     let mut jobs = Jobs::default();
     for (number, entry) in loaded {
         // of two files of one number neither is trusted
@@ -101,11 +103,16 @@ pub fn load_all(folder: &Path, calibration: &Calibration) -> Jobs {
 }
 
 /// Job `number` from its file.
-pub fn load(number: u16, file: &Path, calibration: &Calibration) -> Entry {
-    (number, ready(number, file, calibration).map(Arc::new))
+pub fn load(number: u16, file: &Path, calibration: &Calibration, detector: Option<&Arc<Detector>>) -> Entry {
+    (number, ready(number, file, calibration, detector).map(Arc::new))
 }
 
-fn ready(number: u16, file: &Path, calibration: &Calibration) -> Result<Job, Unusable> {
+fn ready(
+    number: u16,
+    file: &Path,
+    calibration: &Calibration,
+    detector: Option<&Arc<Detector>>,
+) -> Result<Job, Unusable> {
     let bad = |e: Error| Unusable { code: code(&e), said: told(&e) };
     let vehicle = VehicleFile::read(file).map_err(bad)?;
     if vehicle.job != number {
@@ -117,13 +124,14 @@ fn ready(number: u16, file: &Path, calibration: &Calibration) -> Result<Job, Unu
         let entry = code.entry();
         return Err(Unusable { code, said: format!("{}: {} {}", file.display(), entry.sentence, entry.remedy) });
     }
+    let measurer = Measurer::new(calibration.clone(), vehicle.clone()).map_err(bad)?;
     let fingerprint = vehicle.release.as_ref().map_or(0, |r| r.fingerprint);
     Ok(Job {
         number,
         name: vehicle.name.clone(),
         model_code: vehicle.model_code,
         fingerprint,
-        measurer: Measurer::new(calibration.clone(), vehicle.clone()).map_err(bad)?,
+        measurer: measurer.with_detector(detector.cloned()),
         vehicle,
         templates,
     })

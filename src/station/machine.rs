@@ -617,6 +617,9 @@ impl Machine {
             (None, Some(w)) => format!("{} {}", w.code.entry().sentence, w.said),
             (None, None) => "Ended by an order.".into(),
         };
+        if let Some(warning) = measurement.as_ref().and_then(|m| m.warning.as_ref()) {
+            tracing::warn!("{warning}");
+        }
         let computed = attempt.computed;
         let finished =
             Finished { outcome, measurement, said, truth, name, tries, first, budget: attempt.budget, computed };

@@ -2,7 +2,9 @@
 //! Not here: how templates are made; measuring.
 
 mod model;
+mod region;
 mod template;
 
 pub use model::{Body, Class, Definition, Edge, Feature, Kind, Limits, Release, Target, VehicleFile, fingerprint};
+pub use region::region_outline;
 pub use template::{Anchor, ContourPoint, PanelMask, TaughtSurface, Template, TemplateError};

@@ -116,7 +116,7 @@ impl Bench {
             hardware,
             clock: simulated.clock(),
             world: Some(world.map_or_else(still, |world| world(&simulated))),
-            jobs: load_all(jobs, &calibration),
+            jobs: load_all(jobs, &calibration, None),
             calibration,
             more_jobs: None,
             orders: taken,

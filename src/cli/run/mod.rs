@@ -73,7 +73,8 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         }
         Err(fault) => return Err(fault.into()),
     };
-    let more_jobs = models::models(&simulated, &config, &calibration, &stop)?;
+    let detector = config.read_detector()?;
+    let more_jobs = models::models(&simulated, &config, &calibration, detector.clone(), &stop)?;
     let (order, orders) = mpsc::sync_channel(ORDERS);
     let (reported, reports) = mpsc::channel();
     let pulse = Arc::new(plc::Pulse::default());
@@ -82,7 +83,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     view.say(&format!("Modbus TCP on {}", server.local_addr()));
 
     let folder = config.beside(&config.jobs.folder);
-    let jobs = load_all(&folder, &calibration);
+    let jobs = load_all(&folder, &calibration, detector.as_ref());
     for broken in jobs.unusable() {
         tracing::warn!(code = broken.code.number(), "{}", broken.said);
     }

@@ -1,0 +1,132 @@
+//! The detector: where a body's features are in an image, whatever the body, by a network of the YOLOv8 family.
+//! In:  a file of the network, then images as the camera took them. Out: boxes with class and score, px of the image.
+//! Not here: training (models/); which boxes make a vehicle (`measure`).
+//!
+//! Any network with the usual head, of 1 or 3 channels, of any size and of four classes can be used.
+
+mod decode;
+mod graph;
+mod letterbox;
+mod suppress;
+
+use crate::document::Error;
+use crate::image::Image;
+use graph::Graph;
+use letterbox::Letterbox;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex};
+
+/// What is used where nothing else is said: a file, or `none`. Once a network comes with the program, this is the place.
+pub const DEFAULT: &str = "none";
+
+/// Boxes that are less sure are none.
+pub const THRESHOLD: f64 = 0.5;
+
+/// A detector, ready for images.
+pub struct Detector {
+    file: PathBuf,
+    graph: Graph,
+    threshold: f32,
+    /// For the size of the last image.
+    letterbox: Mutex<Option<Arc<Letterbox>>>,
+}
+
+/// A box in an image.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Detection {
+    /// From 0: point1 to point4.
+    pub class: usize,
+    /// How sure it is, 0..=1.
+    pub score: f64,
+    /// Left, top, right, bottom; pixel centres at integers. May reach beyond the image.
+    pub sides: [f64; 4],
+}
+
+/// Why an image gave nothing.
+#[derive(Debug, thiserror::Error)]
+pub enum DetectError {
+    /// The network gave numbers that are none.
+    #[error("{}: the network's output is not finite", file.display())]
+    NotFinite {
+        /// The network's file.
+        file: PathBuf,
+    },
+    /// It could not be run.
+    #[error("{}: the network cannot be run", file.display())]
+    Run {
+        /// The network's file.
+        file: PathBuf,
+        /// What tract said.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+}
+
+/// `image` made `width` wide by area averaging, in its own shape, at 255 levels.
+pub fn reduced(image: &Image<u16>, white: f64, width: usize) -> Image<u8> {
+    let width = width.clamp(1, image.width.max(1));
+    let height = (image.height as f64 * width as f64 / image.width.max(1) as f64).round().max(1.0) as usize;
+    let mut plane = vec![0.0; width * height];
+    Letterbox::new((image.width, image.height), (width, height)).fill(image, white, &mut plane);
+    Image { width, height, pixels: plane.into_iter().map(|v| (255.0 * v).round() as u8).collect() }
+}
+
+impl Detector {
+    /// The detector that `which` names: a file, or `none`.
+    pub fn named(which: &Path) -> Result<Option<Arc<Self>>, Error> {
+        if which == Path::new("none") {
+            return Ok(None);
+        }
+        Ok(Some(Arc::new(Self::read(which)?)))
+    }
+
+    /// Reads a network; errors name the file, what is wrong with it and what is allowed.
+    pub fn read(file: &Path) -> Result<Self, Error> {
+        let graph = Graph::read(file)?;
+        Ok(Self { file: file.into(), graph, threshold: THRESHOLD as f32, letterbox: Mutex::default() })
+    }
+
+    /// The same with another threshold, 0 to 1.
+    pub fn with_threshold(self, threshold: f64) -> Self {
+        Self { threshold: (threshold as f32).clamp(1e-6, 1.0 - 1e-6), ..self }
+    }
+
+    /// Channels, height and width of its input, and whether its head was cut off and is done for few cells only.
+    pub fn shape(&self) -> ([usize; 3], bool) {
+        (self.graph.input, self.graph.is_cut())
+    }
+
+    /// The boxes in `image`, the surest first. `white` is the level of white.
+    pub fn detect(&self, image: &Image<u16>, white: f64) -> Result<Vec<Detection>, DetectError> {
+        if image.width == 0 || image.height == 0 {
+            return Ok(Vec::new());
+        }
+        let [_, height, width] = self.graph.input;
+        let letterbox = self.letterbox((image.width, image.height));
+        let mut plane = vec![0.0; width * height];
+        letterbox.fill(image, white, &mut plane);
+        let failed = |e: String| DetectError::Run { file: self.file.clone(), source: e.into() };
+        let raw = self.graph.run(&plane).map_err(|e| failed(format!("{e:#}")))?;
+        let (len, needed) = (raw.len(), self.graph.head.len());
+        if len != needed {
+            return Err(failed(format!("{len} numbers instead of {needed}")));
+        }
+        if !raw.iter().all(|v| v.is_finite()) {
+            return Err(DetectError::NotFinite { file: self.file.clone() });
+        }
+        let found = suppress::suppress(self.graph.head.decode(&raw, self.threshold));
+        let in_image = |f: decode::Found| {
+            let [left, top, right, bottom] = f.sides.map(f64::from);
+            let (first, last) = (letterbox.to_image(left, top), letterbox.to_image(right, bottom));
+            Detection { class: f.class, score: f.score.into(), sides: [first.x, first.y, last.x, last.y] }
+        };
+        Ok(found.into_iter().map(in_image).collect())
+    }
+
+    /// That of the last image where sizes agree.
+    fn letterbox(&self, size: (usize, usize)) -> Arc<Letterbox> {
+        let [_, height, width] = self.graph.input;
+        let Ok(mut last) = self.letterbox.lock() else { return Arc::new(Letterbox::new(size, (width, height))) };
+        let fits = last.as_ref().filter(|l| l.image() == size).map(Arc::clone);
+        fits.unwrap_or_else(|| Arc::clone(last.insert(Arc::new(Letterbox::new(size, (width, height))))))
+    }
+}
