@@ -8,11 +8,13 @@ A found region is right if an unclaimed one of its class overlaps it with IoU >=
 """
 
 import argparse
+import csv
 import json
+from pathlib import Path
 
 import numpy as np
 
-from data import CLASSES, Letterbox, Set, read_grey, read_regions  # noqa: F401
+from data import CLASSES, Set
 
 THRESHOLD = 0.5
 """Score from which a region counts; the appliance's."""
@@ -69,12 +71,14 @@ def average_precision(right, wanted):
     return np.append(precision, 0)[np.minimum(at, len(precision))].mean()
 
 
-def report(outputs, truths, threshold=THRESHOLD):
-    """Figures over all images: `outputs` of the network, `truths` (n, 5) class and corners for each."""
+def report(outputs, truths, threshold=THRESHOLD, vehicle=None):
+    """Figures over all images: `outputs` of the network, `truths` (n, 5) class and corners for each.
+    `vehicle`: which images show one; without it, those with a labelled region."""
     rows, right, kinds, counts = [], [], [], np.zeros(len(CLASSES), int)
     complete = vehicles = empty = false_on_empty = images_false = 0
     highest = 0.0
-    for output, truth in zip(outputs, truths):
+    shown = [len(t) > 0 for t in truths] if vehicle is None else vehicle
+    for output, truth, there in zip(outputs, truths, shown):
         mine = found(output)
         ok = claims(mine, truth)
         rows.append(mine)
@@ -85,7 +89,7 @@ def report(outputs, truths, threshold=THRESHOLD):
         if len(truth):
             vehicles += 1
             complete += int(ok[above, 0].sum() == len(truth))
-        else:
+        if not there:
             empty += 1
             false_on_empty += int(above.sum())
             images_false += int(above.any())
@@ -120,6 +124,16 @@ def report(outputs, truths, threshold=THRESHOLD):
     }
 
 
+def shows_a_vehicle(folder, names):
+    """From `datum dataset`'s bodies.csv, None without one: a vehicle may stand so that no region of it is in view."""
+    path = Path(folder) / "bodies.csv"
+    if not path.exists():
+        return None
+    with open(path, newline="") as f:
+        body = {row["image"]: row["body"] for row in csv.DictReader(f)}
+    return [body[name] != "" for name in names]
+
+
 def truths(data):
     return [r[r[:, 0] >= 0].numpy() for r in data.regions]
 
@@ -149,7 +163,7 @@ def main():
         x = np.repeat(data.batch([i])[0].numpy(), channels, 1)
         outputs.append(net.run(None, {inp.name: x})[0][0])
     for threshold in a.threshold:
-        figures = report(outputs, truths(data), threshold)
+        figures = report(outputs, truths(data), threshold, shows_a_vehicle(a.data, data.names))
         show(figures)
     if a.json:
         with open(a.json, "w") as f:
