@@ -71,19 +71,18 @@ def average_precision(right, wanted):
     return np.append(precision, 0)[np.minimum(at, len(precision))].mean()
 
 
-def report(outputs, truths, threshold=THRESHOLD, vehicle=None):
-    """Figures over all images: `outputs` of the network, `truths` (n, 5) class and corners for each.
+def report(outputs, wanted, threshold=THRESHOLD, vehicle=None):
+    """Figures over all images: `outputs` of the network, `wanted` (n, 5) class and corners for each.
     `vehicle`: which images show one; without it, those with a labelled region."""
-    rows, right, kinds, counts = [], [], [], np.zeros(len(CLASSES), int)
+    rows, right, counts = [], [], np.zeros(len(CLASSES), int)
     complete = vehicles = empty = false_on_empty = images_false = 0
     highest = 0.0
-    shown = [len(t) > 0 for t in truths] if vehicle is None else vehicle
-    for output, truth, there in zip(outputs, truths, shown):
+    shown = [len(t) > 0 for t in wanted] if vehicle is None else vehicle
+    for output, truth, there in zip(outputs, wanted, shown):
         mine = found(output)
         ok = claims(mine, truth)
         rows.append(mine)
         right.append(ok)
-        kinds.append(truth[:, 0])
         counts += np.bincount(truth[:, 0].astype(int), minlength=len(CLASSES))
         above = mine[:, 5] >= threshold
         if len(truth):
@@ -115,9 +114,9 @@ def report(outputs, truths, threshold=THRESHOLD, vehicle=None):
                 "ap50": float(ap[i, 0]), "ap50_95": float(ap[i].mean()),
             }
     return {
-        "threshold": threshold, "images": len(truths), "regions": int(counts.sum()),
+        "threshold": threshold, "images": len(wanted), "regions": int(counts.sum()),
         "precision": hits / max(1, int(above.sum())), "recall": hits / max(1, int(counts.sum())),
-        "map50": float(ap[:, 0].mean()), "map50_95": float(ap.mean()),
+        "map50": float(ap[:, 0].mean()) if len(ap) else None, "map50_95": float(ap.mean()) if len(ap) else None,
         "vehicles": vehicles, "complete": complete / max(1, vehicles),
         "without": empty, "false_on_without": false_on_empty, "images_with_false": images_false,
         "highest_on_without": float(highest), "classes": per_class,
@@ -149,7 +148,7 @@ def session(path):
 def main():
     p = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     p.add_argument("--data", required=True)
-    p.add_argument("--part", default="test", choices=("train", "val", "test"))
+    p.add_argument("--part", default="test", choices=("train", "val", "test", "all"))
     p.add_argument("--onnx", default="models/detector.onnx")
     p.add_argument("--threshold", type=float, nargs="+", default=[THRESHOLD])
     p.add_argument("--json", help="write the figures there as well")
@@ -157,13 +156,16 @@ def main():
     net = session(a.onnx)
     (inp,) = net.get_inputs()
     _, channels, h, w = inp.shape
-    data = Set(a.data, a.part, (w, h))
-    outputs = []
-    for i in range(len(data)):
-        x = np.repeat(data.batch([i])[0].numpy(), channels, 1)
-        outputs.append(net.run(None, {inp.name: x})[0][0])
+    outputs, wanted, vehicle = [], [], []
+    for part in ("train", "val", "test") if a.part == "all" else (a.part,):
+        data = Set(a.data, part, (w, h))
+        for i in range(len(data)):
+            x = np.repeat(data.batch([i])[0].numpy(), channels, 1)
+            outputs.append(net.run(None, {inp.name: x})[0][0])
+        wanted += truths(data)
+        vehicle += shows_a_vehicle(a.data, data.names) or [len(t) > 0 for t in truths(data)]
     for threshold in a.threshold:
-        figures = report(outputs, truths(data), threshold, shows_a_vehicle(a.data, data.names))
+        figures = report(outputs, wanted, threshold, vehicle)
         show(figures)
     if a.json:
         with open(a.json, "w") as f:
@@ -171,8 +173,11 @@ def main():
 
 
 def show(r):
-    print(f"threshold {r['threshold']:.2f}: {r['images']} images, {r['regions']} regions: precision {r['precision']:.4f} "
-          f"recall {r['recall']:.4f} mAP@0.5 {r['map50']:.4f} mAP@0.5:0.95 {r['map50_95']:.4f}")
+    print(f"threshold {r['threshold']:.2f}: {r['images']} images, {r['regions']} regions", end="")
+    if r["regions"]:
+        print(f": precision {r['precision']:.4f} recall {r['recall']:.4f} mAP@0.5 {r['map50']:.4f} "
+              f"mAP@0.5:0.95 {r['map50_95']:.4f}", end="")
+    print()
     print(f"  every region of the vehicle: {r['complete']:.4f} of {r['vehicles']} vehicles; without a vehicle: "
           f"{r['false_on_without']} regions in {r['images_with_false']} of {r['without']} images, "
           f"highest score {r['highest_on_without']:.3f}")
