@@ -36,7 +36,7 @@ def arguments():
     p.add_argument("--size", default="pico", choices=SIZES)
     p.add_argument("--width", type=int, default=320)
     p.add_argument("--height", type=int, default=256)
-    p.add_argument("--epochs", type=int, default=60)
+    p.add_argument("--epochs", type=int, default=20)
     p.add_argument("--batch", type=int, default=16)
     p.add_argument("--rate", type=float, default=2e-3, help="highest learning rate")
     p.add_argument("--seed", type=int, default=1)
