@@ -1,4 +1,4 @@
-"""The training's own tests: `python models/check.py`, about a minute. Each holds a fast path against a slow, plain one."""
+"""The training's own tests: `python models/check.py`, 20 s. Each holds a fast path against a slow, plain one."""
 
 import math
 import tempfile
