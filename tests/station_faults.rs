@@ -66,7 +66,8 @@ const FAULTS: &[Row] = &[
     row("the right bar stuck", From::Always, || Fault::BarStuck(1, 1.0), &[210, 303]),
     row("the hall three times as bright", From::Always, || Fault::Ambient(3.0), &[0, 303]),
     row("the hall brighter on the way", From::Between(250, 5000), || Fault::Ambient(2.0), &[0, 303, 304, 503]),
-    row("the hall flickers", From::Always, || Fault::Flicker(0.5), &[0, 303, 304, 503, 602, 603]),
+    // a hall that is brighter than it was a moment ago looks like a projector that is not dark where it should be (204)
+    row("the hall flickers", From::Always, || Fault::Flicker(0.5), &[0, 204, 303, 304, 503, 602, 603]),
     row("the vehicle rocks a little", From::Always, || Fault::Rocking(0.02), &[0, 304, 602, 603, 606]),
     row("the vehicle rocks", From::Always, || Fault::Rocking(0.2), &[304, 501, 502, 503, 601, 602, 603, 606]),
     row(

@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex};
 pub const DEFAULT: &str = "none";
 
 /// Boxes that are less sure are none.
-pub const THRESHOLD: f64 = 0.5;
+pub const THRESHOLD: f64 = 0.6;
 
 /// A detector, ready for images.
 pub struct Detector {

@@ -457,8 +457,8 @@ mod tests {
         let meet = |out: f64| body.meet(&body.plan(beside_hole(&body, out)), [0.0, 0.0]).expect("no arch here");
         let panel = meet(5.0);
         assert!(panel.part == Part::Quarter && panel.height.abs() < 1e-9 && panel.tilt.1 == 0.0, "{panel:?}");
-        let hem = meet(0.3 * body.hem);
-        let drop = body.hem * (1.0 - (1.0 - 0.7f64 * 0.7).sqrt());
+        let hem = meet(0.3 * body.hole_hem);
+        let drop = body.hole_hem * (1.0 - (1.0 - 0.7f64 * 0.7).sqrt());
         assert!(hem.part == Part::Quarter && (hem.height + drop).abs() < 0.02, "{hem:?}");
         assert!((hem.tilt.1 - 0.7).abs() < 0.02 && hem.tilt.2[0] < -0.99, "it faces the hole: {hem:?}");
         let floor = meet(-0.5 * body.gap[2]);
