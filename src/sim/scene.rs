@@ -143,7 +143,9 @@ impl Stage<'_> {
     pub(super) fn samples(&self, c: &Crossing, mm: f64) -> usize {
         let (body, most) = (&self.scene.body, self.setup.samples);
         // beyond its hem a panel is flat; one that stands out is met a little beside where it is looked for
-        let reach = 0.8 * mm + body.hem.max(if c.plan.outside_arch().abs() < 6.0 { body.arch.hem } else { 0.0 }) + 0.3;
+        let reach = 0.8 * mm
+            + body.hem.max(body.hole_hem).max(if c.plan.outside_arch().abs() < 6.0 { body.arch.hem } else { 0.0 })
+            + 0.3;
         if c.plan.nearest() < reach {
             return most.min(if mm > 0.4 { 4 } else { 3 });
         }
