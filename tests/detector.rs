@@ -1,7 +1,7 @@
 //! The detector on networks made by hand (tests/data/detector/make.py): what is found where, and what is refused how.
 
 use datum::detect::{DetectError, Detector};
-use datum::measure::{Measurer, measure};
+use datum::measure::{Measurer, Shared, measure};
 use datum::{Calibration, Capture, Image, VehicleFile};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -83,7 +83,8 @@ fn a_detector_that_fails_or_finds_nothing_leaves_the_measurement_as_it_is_withou
         let calibration = Calibration::read(&station.join("calibration.toml")).expect("test data");
         let vehicle = VehicleFile::read(&station.join("vehicle/suv-a.toml")).expect("test data");
         let detector = detector.map(|name| Arc::new(Detector::read(&file(name)).expect(name)));
-        let measurer = Measurer::new(calibration, vehicle).expect("test data").with_detector(detector);
+        let measurer =
+            Measurer::new(calibration, vehicle).expect("test data").sharing(&Shared { detector, ..Shared::default() });
         measure(&measurer, &capture, &mut |_| ()).expect("test data").0
     };
     let without = result(None);

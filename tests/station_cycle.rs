@@ -8,6 +8,7 @@ use bench::{Bench, jobs};
 use datum::Code;
 use datum::hal::{Camera, Error, Exposure, Presence, Sensor};
 use datum::image::Image;
+use datum::measure::Shared;
 use datum::plc::{Order, OrderKind, Report, ResultCode, State, Trigger};
 use datum::sim::{Build, Cue, Deviation, Fault, Paint, Random, Script, When};
 use datum::station::{Hardware, Simulated, SimulationKeys, StationFile, Traffic, TriggerKind, World, load_all};
@@ -137,7 +138,7 @@ fn jobs_are_loaded_by_number_if_they_are_released_and_as_they_were() {
     write("006-misnamed.toml", &numbered(7));
     write("notes.toml", "nobody reads this");
     let calibration = Simulated::new(0.25, 1).calibration();
-    let found = load_all(&folder, &calibration, None);
+    let found = load_all(&folder, &calibration, &Shared::default());
     assert_eq!(found.usable().map(|j| j.number).collect::<Vec<_>>(), [1]);
     for (job, code) in [
         (2, Code::NotReleased),

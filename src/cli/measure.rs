@@ -2,10 +2,9 @@
 
 use super::{Status, overlay, print};
 use crate::detect::{self, Detector};
-use crate::measure::{Measurement, Measurer, Method, Stage, Timing, Verdict, json, measure, table};
+use crate::measure::{Measurement, Measurer, Method, Shared, Stage, Timing, Verdict, json, measure, table};
 use crate::{Calibration, Capture, VehicleFile, capture};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 #[derive(Debug, clap::Args)]
@@ -40,14 +39,14 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     anyhow::ensure!(a.method == Method::Points, "--method {}: not available yet, allowed: points", name(a.method));
     let calibration = Calibration::read(&a.calibration)?;
     let vehicle = VehicleFile::read(&a.vehicle)?;
-    let detector = Detector::named(&a.detector)?;
+    let shared = Shared { detector: Detector::named(&a.detector)?, ..Shared::default() };
     let mut ready = None;
     let mut results = Vec::new();
     for (n, folder) in a.captures.iter().enumerate() {
         if a.captures.len() > 1 {
             eprintln!("{}/{} {}", n + 1, a.captures.len(), folder.display());
         }
-        results.push(one(folder, (&calibration, &vehicle, &detector), &mut ready, a).unwrap_or_else(|e| {
+        results.push(one(folder, (&calibration, &vehicle, &shared), &mut ready, a).unwrap_or_else(|e| {
             eprintln!("error: {e:#}");
             let name = capture::name_of(folder);
             Measurement::without_pose(name, Verdict::Error, None, format!("{e:#}"), a.method)
@@ -62,7 +61,7 @@ type Ready = Option<([(usize, usize); 2], Measurer)>;
 
 fn one(
     folder: &Path,
-    (calibration, vehicle, detector): (&Calibration, &VehicleFile, &Option<Arc<Detector>>),
+    (calibration, vehicle, shared): (&Calibration, &VehicleFile, &Shared),
     ready: &mut Ready,
     a: &Arguments,
 ) -> anyhow::Result<Measurement> {
@@ -74,7 +73,7 @@ fn one(
         let calibration = calibration
             .for_sizes(sizes[0], sizes[1], a.scale_calibration)
             .map_err(|e| anyhow::Error::new(e).context(capture.file().display().to_string()))?;
-        *ready = Some((sizes, Measurer::new(calibration, vehicle.clone())?.with_detector(detector.clone())));
+        *ready = Some((sizes, Measurer::new(calibration, vehicle.clone())?.sharing(shared)));
     }
     let (_, measurer) = ready.as_ref().expect("made just now");
     let mut clock = Clock::new();

@@ -1,8 +1,8 @@
 //! The top of an arch. In: points of its edge, along and up, mm. Out: where it is highest, with covariance.
 //! Not here: which way is up: callers turn the points so, from the vehicle's pose.
 
-use crate::geometry::robust::{start, weigh};
-use nalgebra::{DMatrix, DVector, Matrix2, RowDVector};
+use crate::geometry::robust::{Weights, start, truncated};
+use nalgebra::{Matrix2, SMatrix, SVector};
 use std::iter::repeat_n;
 
 /// Where an arch is highest.
@@ -52,46 +52,47 @@ pub fn arch_top(points: &[(f64, f64, f64)], centre: f64, window: f64) -> Result<
         return Err(NoArchTop::TooFewPoints { got: inside.len() });
     }
     let scaled: Vec<_> = inside.iter().map(|(s, h, v)| ((s - centre) / window, *h, *v)).collect();
-    let fits = (2..=4).map(|order| Polynomial::fit(&scaled, order)).collect::<Option<Vec<_>>>();
-    let fits = fits.ok_or(NoArchTop::Degenerate)?;
+    let fit = |order| Polynomial::fit(&scaled, order).ok_or(NoArchTop::Degenerate);
+    let fits = [fit(2)?, fit(3)?, fit(4)?];
     // One scale for all orders: that of the most flexible, as a too stiff curve would excuse itself by its own scatter.
     let scale = fits[2].scale;
-    let bic = |f: &&Polynomial| f.misfit(&scaled, scale) + f.coefficients.len() as f64 * (scaled.len() as f64).ln();
+    let bic = |f: &&Polynomial| f.misfit(&scaled, scale) + (f.order + 1) as f64 * (scaled.len() as f64).ln();
     let best = fits.iter().min_by(|a, b| bic(a).total_cmp(&bic(b))).ok_or(NoArchTop::Degenerate)?;
     let top = best.maximum().ok_or(NoArchTop::NoMaximum)?;
-    let order = best.coefficients.len() - 1;
-    let row = |times: usize| RowDVector::from_row_slice(&powers(top, order, times)[..=order]);
-    let along = -row(1) / best.value(top, 2);
-    let height = row(0);
-    let spread = |a: &RowDVector<f64>, b: &RowDVector<f64>| (a * &best.covariance * b.transpose())[0];
+    let along = -powers(top, best.order, 1) / best.value(top, 2);
+    let height = powers(top, best.order, 0);
+    let spread = |a: &Row, b: &Row| a.dot(&(best.covariance * b));
     let cross = spread(&along, &height) * window;
     Ok(ArchTop {
         along: centre + window * top,
         height: best.value(top, 0),
         covariance: Matrix2::new(spread(&along, &along) * window * window, cross, cross, spread(&height, &height)),
         radius: window * window / best.value(top, 2).abs(),
-        order,
+        order: best.order,
         scale,
     })
 }
 
 /// A polynomial over −1..=1.
 struct Polynomial {
-    coefficients: DVector<f64>,
-    covariance: DMatrix<f64>,
+    order: usize,
+    /// Zeros after those of the order; so in the covariance.
+    coefficients: Row,
+    covariance: SMatrix<f64, TERMS, TERMS>,
     scale: f64,
 }
 
 impl Polynomial {
     /// Robust least squares over (x, value, variance); `None` where the places do not fix one.
     fn fit(points: &[(f64, f64, f64)], order: usize) -> Option<Self> {
-        let few = |few: &mut dyn Iterator<Item = usize>| Self::solve(few.map(|k| (points[k], 1.0)), order);
-        let mut fit = start(points.len(), few, |f| f.residuals(points))?;
+        let few = |few: &[usize]| Self::solve(few.iter().map(|k| (points[*k], 1.0)), order);
+        let mut fit = start(points.len(), few, |f, most| truncated(f.residuals(points), most))?;
+        let mut weights = Weights::default();
         for _ in 0..30 {
-            let (weights, scale) = weigh(&fit.residuals(points));
-            let next = Self::solve(points.iter().copied().zip(weights), order)?;
-            let change = (&next.coefficients - &fit.coefficients).amax();
-            fit = Self { scale, ..next };
+            weights.weigh(fit.residuals(points));
+            let next = Self::solve(points.iter().copied().zip(weights.weights.iter().copied()), order)?;
+            let change = (next.coefficients - fit.coefficients).amax();
+            fit = Self { scale: weights.scale, ..next };
             if change < 1e-9 {
                 break;
             }
@@ -101,34 +102,32 @@ impl Polynomial {
 
     /// Least squares of weighted points.
     fn solve(points: impl Iterator<Item = ((f64, f64, f64), f64)>, order: usize) -> Option<Self> {
-        let (mut a, mut b) = ([[0.0; TERMS]; TERMS], [0.0; TERMS]);
+        let (mut a, mut b) = (SMatrix::<f64, TERMS, TERMS>::zeros(), Row::zeros());
         for ((x, value, variance), weight) in points {
             let row = powers(x, order, 0);
-            for i in 0..=order {
-                b[i] += row[i] * (value * weight / variance);
-                for j in 0..=order {
-                    a[i][j] += row[i] * row[j] * (weight / variance);
-                }
-            }
+            b += row * (value * weight / variance);
+            a += row * row.transpose() * (weight / variance);
         }
-        let factor = DMatrix::from_fn(order + 1, order + 1, |i, j| a[i][j]).cholesky()?;
-        let b = DVector::from_row_slice(&b[..=order]);
-        Some(Self { coefficients: factor.solve(&b), covariance: factor.inverse(), scale: 1.0 })
+        (order + 1..TERMS).for_each(|k| a[(k, k)] = 1.0); // coefficients that are not there are 0, and known
+        let factor = a.cholesky()?;
+        let mut covariance = factor.inverse();
+        (order + 1..TERMS).for_each(|k| covariance[(k, k)] = 0.0);
+        Some(Self { order, coefficients: factor.solve(&b), covariance, scale: 1.0 })
     }
 
     /// The value at `x`, derived `times` times.
     fn value(&self, x: f64, times: usize) -> f64 {
-        let powers = powers(x, self.coefficients.len() - 1, times);
-        self.coefficients.iter().zip(powers).map(|(c, p)| c * p).sum()
+        self.coefficients.dot(&powers(x, self.order, times))
     }
 
-    fn residuals(&self, points: &[(f64, f64, f64)]) -> Vec<f64> {
-        points.iter().map(|(x, value, variance)| (value - self.value(*x, 0)) / variance.sqrt()).collect()
+    fn residuals(&self, points: &[(f64, f64, f64)]) -> impl Iterator<Item = f64> {
+        let at = |x: f64| self.coefficients.iter().rev().fold(0.0, |value, c| value * x + c); // Horner's scheme
+        points.iter().map(move |(x, value, variance)| (value - at(*x)) / variance.sqrt())
     }
 
     /// Squared residuals over `scale`, each at most 3 squared.
     fn misfit(&self, points: &[(f64, f64, f64)], scale: f64) -> f64 {
-        self.residuals(points).iter().map(|r| (r / scale).powi(2).min(9.0)).sum()
+        self.residuals(points).map(|r| (r / scale).powi(2).min(9.0)).sum()
     }
 
     /// Where the value is largest; `None` if that is not inside −1..1.
@@ -149,13 +148,15 @@ impl Polynomial {
 /// Coefficients of the highest order.
 const TERMS: usize = 5;
 
+type Row = SVector<f64, TERMS>;
+
 /// The powers of `x`, 0 to `order`, derived `times` times; then zeros.
-fn powers(x: f64, order: usize, times: usize) -> [f64; TERMS] {
+fn powers(x: f64, order: usize, times: usize) -> Row {
     let power = |k: usize| {
         let factor: f64 = (0..times).map(|t| k as f64 - t as f64).product(); // 0 where k < times
         factor * repeat_n(x, k.saturating_sub(times)).product::<f64>()
     };
-    std::array::from_fn(|k| if k <= order { power(k) } else { 0.0 })
+    Row::from_fn(|k, _| if k <= order { power(k) } else { 0.0 })
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@
 //! distances by Gauss–Newton with Tukey weights. The shape is a symmetric matrix M, the ellipse `c + M·(cos, sin)`:
 //! axes and angle would be singular at a circle, M is not.
 
-use crate::geometry::robust::{start, weigh};
+use crate::geometry::robust::{Weights, start, truncated};
 use nalgebra::{Matrix2, Matrix3, Matrix5, SMatrix, SymmetricEigen, Vector2, Vector3, Vector5};
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
@@ -38,20 +38,19 @@ impl Ellipse {
     }
 
     /// Distances of `points` over their sigmas to first order (Sampson's): |M⁻¹(p − c)| − 1 over its slope.
-    fn approx_distances(&self, points: &[(Vector2<f64>, f64)]) -> Vec<f64> {
+    fn approx_distances(&self, points: &[(Vector2<f64>, f64)]) -> impl Iterator<Item = f64> {
         let inverse = self.shape.try_inverse().unwrap_or_default();
-        let distance = |(p, variance): &(Vector2<f64>, f64)| {
+        points.iter().map(move |(p, variance)| {
             let u = inverse * (p - self.centre);
             (u.norm() - 1.0) * u.norm() / ((inverse * u).norm() * variance.sqrt())
-        };
-        points.iter().map(distance).collect()
+        })
     }
 
     /// The (cos t, sin t) of the point of the ellipse nearest to each of `points`.
-    fn feet(&self, points: &[(Vector2<f64>, f64)]) -> Vec<Vector2<f64>> {
+    fn feet(&self, points: &[(Vector2<f64>, f64)]) -> impl Iterator<Item = Vector2<f64>> {
         let eigen = SymmetricEigen::new(self.shape);
         let (q, axes) = (eigen.eigenvectors, eigen.eigenvalues);
-        let foot = |p: &Vector2<f64>| {
+        points.iter().map(move |(p, _)| {
             let y = q.transpose() * (p - self.centre);
             let z = Vector2::new((axes.x * y.x).abs(), (axes.y * y.y).abs()).map(|v| v.max(1e-12 * axes.max().powi(2)));
             // The foot's (cos t, sin t) is z/(s + axes²) per axis, of length 1: s by Newton from its lower end, from
@@ -68,8 +67,7 @@ impl Ellipse {
             }
             let u = Vector2::new(z.x / (s + axes.x * axes.x), z.y / (s + axes.y * axes.y)).normalize();
             q * Vector2::new(u.x.copysign(y.x), u.y.copysign(y.y))
-        };
-        points.iter().map(|(p, _)| foot(p)).collect()
+        })
     }
 }
 
@@ -145,10 +143,12 @@ pub fn fit_ellipse(points: &[(Vector2<f64>, f64)], limits: &EllipseLimits) -> Re
     if points.len() < 6 {
         return Err(NoEllipse::TooFewPoints { got: points.len() });
     }
-    let some = |few: &mut dyn Iterator<Item = usize>| direct(&few.map(|k| points[k].0).collect::<Vec<_>>());
-    let mut ellipse = start(points.len(), some, |e| e.approx_distances(points)).ok_or(NoEllipse::Degenerate)?;
+    let some = |few: &[usize]| direct(few.iter().map(|k| points[*k].0));
+    let loss = |e: &Ellipse, most: f64| truncated(e.approx_distances(points), most);
+    let mut ellipse = start(points.len(), some, loss).ok_or(NoEllipse::Degenerate)?;
+    let mut system = System::default();
     for _ in 0..50 {
-        let system = System::new(points, &ellipse);
+        system.build(points, &ellipse);
         let step = system.information.cholesky().ok_or(NoEllipse::Degenerate)?.solve(&system.gradient);
         ellipse.centre += step.fixed_rows::<2>(0);
         ellipse.shape += Matrix2::new(step[2], step[3], step[3], step[4]);
@@ -163,8 +163,9 @@ pub fn fit_ellipse(points: &[(Vector2<f64>, f64)], limits: &EllipseLimits) -> Re
     if !(limits.semi_axes.contains(&major) && limits.semi_axes.contains(&minor)) {
         return Err(NoEllipse::Axes { major, minor });
     }
-    let system = System::new(points, &ellipse);
-    let coverage = coverage(&system.feet, &system.weights);
+    system.build(points, &ellipse);
+    let weights = &system.weights.weights;
+    let coverage = coverage(&system.rows, weights);
     if coverage < limits.coverage {
         return Err(NoEllipse::Coverage { got: coverage, wanted: limits.coverage });
     }
@@ -172,57 +173,68 @@ pub fn fit_ellipse(points: &[(Vector2<f64>, f64)], limits: &EllipseLimits) -> Re
         ellipse,
         covariance: system.information.cholesky().ok_or(NoEllipse::Degenerate)?.inverse(),
         coverage,
-        chi2: system.residuals.iter().zip(&system.weights).map(|(r, w)| w * r * r).sum(),
-        weight: system.weights.iter().sum(),
-        scale: system.scale,
+        chi2: system.rows.iter().zip(weights).map(|(row, w)| w * row.residual.powi(2)).sum(),
+        weight: weights.iter().sum(),
+        scale: system.weights.scale,
     })
 }
 
 /// The weighted normal equations at an ellipse.
+#[derive(Default)]
 struct System {
-    feet: Vec<Vector2<f64>>,
-    residuals: Vec<f64>,
-    weights: Vec<f64>,
-    scale: f64,
+    rows: Vec<Row>,
+    weights: Weights,
     information: Matrix5<f64>,
     gradient: Vector5<f64>,
 }
 
+/// What a point says.
+struct Row {
+    /// (cos t, sin t) of the nearest point of the ellipse.
+    foot: Vector2<f64>,
+    /// Its distance over its sigma.
+    residual: f64,
+    /// How that follows the unknowns.
+    jacobian: Vector5<f64>,
+}
+
 impl System {
-    fn new(points: &[(Vector2<f64>, f64)], ellipse: &Ellipse) -> Self {
-        let feet = ellipse.feet(points);
+    /// At `ellipse`, in the buffers of an earlier one.
+    fn build(&mut self, points: &[(Vector2<f64>, f64)], ellipse: &Ellipse) {
         let unit = ellipse.shape.determinant() * ellipse.shape.try_inverse().unwrap_or_default(); // adjugate: normal ∝ M⁻¹u
-        let normals: Vec<_> = feet.iter().map(|u| (unit * u).normalize()).collect();
-        let residuals: Vec<_> = points
-            .iter()
-            .zip(feet.iter().zip(&normals))
-            .map(|((p, variance), (u, n))| n.dot(&(p - ellipse.centre - ellipse.shape * u)) / variance.sqrt())
-            .collect();
-        let (weights, scale) = weigh(&residuals);
-        let (mut information, mut gradient) = (Matrix5::zeros(), Vector5::zeros());
-        for (k, (u, n)) in feet.iter().zip(&normals).enumerate() {
-            let j = Vector5::new(n.x, n.y, n.x * u.x, n.x * u.y + n.y * u.x, n.y * u.y) / points[k].1.sqrt();
-            information += j * j.transpose() * weights[k];
-            gradient += j * (residuals[k] * weights[k]);
+        let row = |((p, variance), u): (&(Vector2<f64>, f64), Vector2<f64>)| {
+            let (n, sigma) = ((unit * u).normalize(), variance.sqrt());
+            Row {
+                foot: u,
+                residual: n.dot(&(p - ellipse.centre - ellipse.shape * u)) / sigma,
+                jacobian: Vector5::new(n.x, n.y, n.x * u.x, n.x * u.y + n.y * u.x, n.y * u.y) / sigma,
+            }
+        };
+        self.rows.clear();
+        self.rows.extend(points.iter().zip(ellipse.feet(points)).map(row));
+        self.weights.weigh(self.rows.iter().map(|row| row.residual));
+        (self.information, self.gradient) = (Matrix5::zeros(), Vector5::zeros());
+        for (row, weight) in self.rows.iter().zip(&self.weights.weights) {
+            self.information += row.jacobian * row.jacobian.transpose() * *weight;
+            self.gradient += row.jacobian * (row.residual * weight);
         }
-        Self { feet, residuals, weights, scale, information, gradient }
     }
 }
 
 /// The share of 36 steps of the turn in which at least one point has half its weight.
-fn coverage(feet: &[Vector2<f64>], weights: &[f64]) -> f64 {
+fn coverage(rows: &[Row], weights: &[f64]) -> f64 {
     let mut seen = [false; 36];
-    for (u, _) in feet.iter().zip(weights).filter(|(_, w)| **w > 0.5) {
+    for (u, _) in rows.iter().map(|row| row.foot).zip(weights).filter(|(_, w)| **w > 0.5) {
         seen[((u.y.atan2(u.x) / TAU).rem_euclid(1.0) * 36.0) as usize % 36] = true;
     }
     seen.iter().filter(|s| **s).count() as f64 / 36.0
 }
 
 /// Halíř and Flusser's direct fit, unweighted. `None` where no ellipse comes out.
-fn direct(points: &[Vector2<f64>]) -> Option<Ellipse> {
+fn direct(points: impl ExactSizeIterator<Item = Vector2<f64>> + Clone) -> Option<Ellipse> {
     let n = points.len() as f64;
-    let middle = points.iter().sum::<Vector2<f64>>() / n;
-    let unit = (points.iter().map(|p| (p - middle).norm_squared()).sum::<f64>() / n).sqrt();
+    let middle = points.clone().sum::<Vector2<f64>>() / n;
+    let unit = (points.clone().map(|p| (p - middle).norm_squared()).sum::<f64>() / n).sqrt();
     if unit.is_nan() || unit <= 0.0 {
         return None;
     }
@@ -292,7 +304,9 @@ mod tests {
         let (mut noise, trials) = (Noise::new(5), 400);
         let good = (0..600).filter(|k| glint == 0.0 || !(120..240).contains(k));
         let exact: Vec<_> = good.map(|k| (truth().at(arc * f64::from(k) / 600.0), SIGMA * SIGMA)).collect();
-        let full = System::new(&exact, &truth()).information; // on the curve, every weight is 1
+        let mut full = System::default();
+        full.build(&exact, &truth());
+        let full = full.information; // on the curve, every weight is 1
         let bound = full.try_inverse().expect("regular").fixed_view::<2, 2>(0, 0).into_owned();
         let (mut by_bound, mut by_stated) = (0.0, 0.0);
         for _ in 0..trials {

@@ -6,7 +6,7 @@
 //! multiple range images", Image and Vision Computing 10 (1992) 145. Tukey weights.
 
 use super::buckets::Buckets;
-use crate::geometry::robust::weigh;
+use crate::geometry::robust::Weights;
 use nalgebra::{Matrix3, Rotation2, SymmetricEigen, Vector2, Vector3};
 
 /// A measured point of a contour.
@@ -134,16 +134,15 @@ pub fn align(
 ) -> Result<Alignment, NoAlignment> {
     let (mut motion, mut capture) = (guess, options.capture.0);
     let places = Buckets::new(template.iter().map(|t| t.position), options.capture.1);
-    let system_at =
-        |motion: &Motion, capture: f64| System::new(template, &places, measured, motion, capture, options.rotate);
-    let mut system = system_at(&motion, capture)?;
+    let mut system = System::new(template, &places, measured, options.rotate);
+    system.build(&motion, capture)?;
     for _ in 0..50 {
         let step = system.step();
         motion.shift += step.xy();
         motion.theta += step.z;
         let settled = capture <= options.capture.1;
         capture = (0.5 * capture).max(options.capture.1);
-        system = system_at(&motion, capture)?;
+        system.build(&motion, capture)?;
         if settled && step.xy().norm() + (step.z * system.gyration).abs() < 1e-7 {
             break;
         }
@@ -152,7 +151,7 @@ pub fn align(
     if stiffness < options.stiffness {
         return Err(NoAlignment::Slides { got: stiffness, wanted: options.stiffness });
     }
-    let share = system.share(template, measured, &motion, capture);
+    let share = system.share(&motion, capture);
     if share < options.share {
         return Err(NoAlignment::Share { got: share, wanted: options.share });
     }
@@ -171,81 +170,100 @@ pub fn align(
         distances,
         share,
         rms: (squares / weight).sqrt(),
-        scale: system.scale,
+        scale: system.weights.scale,
         stiffness,
     })
 }
 
-/// A measured point, its distance (mm) from the tangent of its template point, its weight, and how it sees the unknowns.
+/// A measured point near the template.
 struct Pair {
     measured: usize,
+    /// From the tangent of its template point, mm; its sigma.
     distance: f64,
+    sigma: f64,
     weight: f64,
+    /// How it sees the unknowns.
     jacobian: Vector3<f64>,
+    /// Its template point, turned.
+    matched: Vector2<f64>,
 }
 
-/// The weighted normal equations at a motion.
-struct System {
+/// The weighted normal equations at a motion; its lists are used again for the next.
+struct System<'a> {
+    template: &'a [TemplatePoint],
+    /// The template's points.
+    places: &'a Buckets,
+    measured: &'a [ContourPoint],
+    rotate: bool,
+    /// The template, turned.
+    arms: Vec<TemplatePoint>,
     pairs: Vec<Pair>,
-    scale: f64,
+    weights: Weights,
     information: Matrix3<f64>,
     gradient: Vector3<f64>,
-    rotate: bool,
     /// Of the matched template points, from the template's origin, mm; their radius of gyration, mm.
     middle: Vector2<f64>,
     gyration: f64,
 }
 
-impl System {
-    /// `places`: the template's points.
-    fn new(
-        template: &[TemplatePoint],
-        places: &Buckets,
-        measured: &[ContourPoint],
-        motion: &Motion,
-        capture: f64,
-        rotate: bool,
-    ) -> Result<Self, NoAlignment> {
+impl<'a> System<'a> {
+    fn new(template: &'a [TemplatePoint], places: &'a Buckets, measured: &'a [ContourPoint], rotate: bool) -> Self {
+        Self {
+            template,
+            places,
+            measured,
+            rotate,
+            arms: Vec::with_capacity(template.len()),
+            pairs: Vec::with_capacity(measured.len()),
+            weights: Weights::default(),
+            information: Matrix3::zeros(),
+            gradient: Vector3::zeros(),
+            middle: Vector2::zeros(),
+            gyration: 0.0,
+        }
+    }
+
+    fn build(&mut self, motion: &Motion, capture: f64) -> Result<(), NoAlignment> {
         let rotation = Rotation2::new(motion.theta);
-        let arms: Vec<_> = template.iter().map(|t| (rotation * t.position, rotation * t.normal)).collect();
-        let (mut pairs, mut sigmas, mut matched) = (Vec::new(), Vec::new(), Vec::new());
-        for (i, m) in measured.iter().enumerate() {
+        let turned = |t: &TemplatePoint| TemplatePoint { position: rotation * t.position, normal: rotation * t.normal };
+        self.arms.clear();
+        self.arms.extend(self.template.iter().map(turned));
+        let (arms, places, rotate) = (&self.arms, self.places, self.rotate);
+        let pair = |(i, m): (usize, &ContourPoint)| {
             let p = m.position - motion.shift;
             let near = places.near(rotation.inverse_transform_vector(&p), capture);
-            let near = near.filter(|k| arms[*k].1.dot(&m.normal) > AGREEING);
-            let near = near.map(|k| ((p - arms[k].0).norm_squared(), k));
+            let near = near.filter(|k| arms[*k].normal.dot(&m.normal) > AGREEING);
+            let near = near.map(|k| ((p - arms[k].position).norm_squared(), k));
             // of equally near ones the first
             let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            if let Some((_, k)) = nearest.filter(|(d2, _)| *d2 <= capture * capture) {
-                let (q, n) = &arms[k];
-                let turn = if rotate { q.perp(n) } else { 0.0 };
-                let jacobian = Vector3::new(n.x, n.y, turn);
-                pairs.push(Pair { measured: i, distance: n.dot(&(p - q)), weight: 0.0, jacobian });
-                sigmas.push(m.variance.sqrt());
-                matched.push(*q);
-            }
-        }
+            let (_, k) = nearest.filter(|(d2, _)| *d2 <= capture * capture)?;
+            let TemplatePoint { position: q, normal: n } = arms[k];
+            let jacobian = Vector3::new(n.x, n.y, if rotate { q.perp(&n) } else { 0.0 });
+            let (distance, sigma) = (n.dot(&(p - q)), m.variance.sqrt());
+            Some(Pair { measured: i, distance, sigma, weight: 0.0, jacobian, matched: q })
+        };
+        self.pairs.clear();
+        self.pairs.extend(self.measured.iter().enumerate().filter_map(pair));
         let wanted = if rotate { 9 } else { 6 };
-        if pairs.len() < wanted {
-            return Err(NoAlignment::TooFewPoints { got: pairs.len(), wanted });
+        if self.pairs.len() < wanted {
+            return Err(NoAlignment::TooFewPoints { got: self.pairs.len(), wanted });
         }
-        let (weights, scale) = weigh(&pairs.iter().zip(&sigmas).map(|(p, s)| p.distance / s).collect::<Vec<_>>());
-        let (mut information, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
-        for ((pair, weight), sigma) in pairs.iter_mut().zip(weights).zip(sigmas) {
-            pair.weight = weight;
-            information += pair.jacobian * pair.jacobian.transpose() * (weight / (sigma * sigma));
-            gradient += pair.jacobian * (pair.distance * weight / (sigma * sigma));
+        self.weights.weigh(self.pairs.iter().map(|p| p.distance / p.sigma));
+        (self.information, self.gradient) = (Matrix3::zeros(), Vector3::zeros());
+        for (pair, weight) in self.pairs.iter_mut().zip(&self.weights.weights) {
+            pair.weight = *weight;
+            let information = weight / (pair.sigma * pair.sigma);
+            self.information += pair.jacobian * pair.jacobian.transpose() * information;
+            self.gradient += pair.jacobian * (pair.distance * information);
         }
         if !rotate {
-            information[(2, 2)] = 1.0;
+            self.information[(2, 2)] = 1.0;
         }
-        let total: f64 = pairs.iter().map(|p| p.weight).sum();
-        let mean = |f: &dyn Fn(&Vector2<f64>) -> Vector2<f64>| {
-            pairs.iter().zip(&matched).map(|(p, q)| f(q) * p.weight).sum::<Vector2<f64>>() / total
-        };
-        let middle = mean(&|q| *q);
-        let gyration = mean(&|q| Vector2::new((q - middle).norm_squared(), 0.0)).x.sqrt();
-        Ok(Self { pairs, scale, information, gradient, rotate, middle, gyration })
+        let total: f64 = self.pairs.iter().map(|p| p.weight).sum();
+        self.middle = self.pairs.iter().map(|p| p.matched * p.weight).sum::<Vector2<f64>>() / total;
+        let square = |p: &Pair| (p.matched - self.middle).norm_squared() * p.weight;
+        self.gyration = (self.pairs.iter().map(square).sum::<f64>() / total).sqrt();
+        Ok(())
     }
 
     /// The information about the shift of the matched points' middle and their turn times the radius of gyration,
@@ -268,20 +286,20 @@ impl System {
     }
 
     fn stiffness(&self) -> f64 {
-        let mut values: Vec<f64> = self.balanced().0.eigenvalues.iter().copied().collect();
+        let mut values: [f64; 3] = self.balanced().0.eigenvalues.into();
         values.sort_by(f64::total_cmp);
         values[if self.rotate { 0 } else { 1 }].max(0.0) / values[2]
     }
 
-    fn share(&self, template: &[TemplatePoint], measured: &[ContourPoint], motion: &Motion, capture: f64) -> f64 {
-        let rests: Vec<_> =
-            self.pairs.iter().filter(|p| p.weight > 0.0).map(|p| measured[p.measured].position).collect();
+    fn share(&self, motion: &Motion, capture: f64) -> f64 {
+        let used = self.pairs.iter().filter(|p| p.weight > 0.0);
+        let rests: Vec<_> = used.map(|p| self.measured[p.measured].position).collect();
         let places = Buckets::new(rests.iter().copied(), capture);
         let seen = |t: &&TemplatePoint| {
             let q = motion.apply(&t.position);
             places.near(q, capture).any(|k| (rests[k] - q).norm_squared() <= capture * capture)
         };
-        template.iter().filter(seen).count() as f64 / template.len() as f64
+        self.template.iter().filter(seen).count() as f64 / self.template.len() as f64
     }
 }
 

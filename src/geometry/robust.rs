@@ -11,9 +11,12 @@ pub fn median(values: &mut [f64]) -> f64 {
     if values.is_empty() { f64::NAN } else { *values.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
+/// Of a Gaussian: its standard deviation over the median of its magnitudes.
+const SIGMA_PER_MEDIAN: f64 = 1.4826;
+
 /// The standard deviation about zero of Gaussian `residuals`, whatever less than half of them do.
 pub fn mad_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
-    1.4826 * median(&mut residuals.map(f64::abs).collect::<Vec<_>>())
+    SIGMA_PER_MEDIAN * median(&mut residuals.map(f64::abs).collect::<Vec<_>>())
 }
 
 /// Tukey's biweight at `u` sigmas, 1 at 0 down to 0 from 4.685 on.
@@ -21,13 +24,34 @@ pub fn tukey(u: f64) -> f64 {
     (1.0 - (u / CUTOFF).powi(2)).max(0.0).powi(2)
 }
 
-/// Tukey weights of `residuals` (each over its own sigma), and the scale they were taken at: that of their
-/// scatter, but never below the 1 that the stated sigmas promise.
+/// Tukey weights of residuals (each over its own sigma), for all rounds of a fit.
 ///
 /// With these weights `(Σ w·j·jᵀ/σ²)⁻¹` is the covariance of the fit to 2 % in sigma (too large) for Gaussian noise.
+#[derive(Clone, Debug, Default)]
+pub struct Weights {
+    /// One of each residual, 0..=1.
+    pub weights: Vec<f64>,
+    /// What they were taken at: the scale of the residuals' scatter, but never below the 1 that the stated sigmas promise.
+    pub scale: f64,
+    magnitudes: Vec<f64>,
+}
+
+impl Weights {
+    /// The weights of `residuals`, in place of earlier ones.
+    pub fn weigh(&mut self, residuals: impl Iterator<Item = f64>) {
+        self.magnitudes.clear();
+        self.magnitudes.extend(residuals.map(f64::abs));
+        self.weights.clone_from(&self.magnitudes);
+        self.scale = (SIGMA_PER_MEDIAN * median(&mut self.magnitudes)).max(1.0);
+        self.weights.iter_mut().for_each(|w| *w = tukey(*w / self.scale));
+    }
+}
+
+/// Tukey weights of `residuals` (each over its own sigma), and the scale they were taken at.
 pub fn weigh(residuals: &[f64]) -> (Vec<f64>, f64) {
-    let scale = mad_sigma(residuals.iter().copied()).max(1.0);
-    (residuals.iter().map(|r| tukey(r / scale)).collect(), scale)
+    let mut weights = Weights::default();
+    weights.weigh(residuals.iter().copied());
+    (weights.weights, weights.scale)
 }
 
 /// Few points each, from which `start` fits its models; some such subsets are free of up to 30 % of outliers.
@@ -36,27 +60,48 @@ const SUBSET: usize = 9;
 const SUBSETS: usize = 100;
 
 /// Where iterated weights may start although outliers lie together and drag a fit to all points with them: of the
-/// models that `fit` makes of few of `n` points, and of all, the one with the least sum of squared `residuals` (each
-/// over its own sigma), none counted above 5 squared. The subsets are the same every time. `None` if `fit` never fits.
+/// models that `fit` makes of few of `n` points, and of all, the one of least `loss`; of equal ones the first. The
+/// subsets are the same every time. `loss` is told beyond what it need not count on, as [`truncated`] is. `None` if
+/// `fit` never fits.
 ///
 /// Torr, Zisserman, "MLESAC", Computer Vision and Image Understanding 78 (2000), there called MSAC.
-pub fn start<M>(
-    n: usize,
-    fit: impl Fn(&mut dyn Iterator<Item = usize>) -> Option<M>,
-    residuals: impl Fn(&M) -> Vec<f64>,
-) -> Option<M> {
+pub fn start<M>(n: usize, fit: impl Fn(&[usize]) -> Option<M>, loss: impl Fn(&M, f64) -> f64) -> Option<M> {
     let mut state = 1u64;
     let mut pick = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407); // Knuth's MMIX
         (state >> 33) as usize % n
     };
-    let loss = |model: M| {
-        let sum = residuals(&model).iter().map(|r| (r * r).min(25.0)).sum::<f64>();
-        (model, sum)
-    };
-    let all = fit(&mut (0..n)).map(loss);
-    let few = (0..SUBSETS).filter_map(|_| fit(&mut (0..SUBSET).map(|_| pick())).map(loss));
-    all.into_iter().chain(few).min_by(|a, b| a.1.total_cmp(&b.1)).map(|(model, _)| model)
+    let all: Vec<usize> = (0..n).collect();
+    let mut best: Option<(M, f64)> = None;
+    for round in 0..=SUBSETS {
+        let few: [usize; SUBSET];
+        let picked = if round == 0 {
+            &all
+        } else {
+            few = std::array::from_fn(|_| pick());
+            &few[..]
+        };
+        let Some(model) = fit(picked) else { continue };
+        let most = best.as_ref().map_or(f64::INFINITY, |(_, loss)| *loss);
+        let loss = loss(&model, most);
+        if loss < most {
+            best = Some((model, loss));
+        }
+    }
+    best.map(|(model, _)| model)
+}
+
+/// The sum of squared `residuals` (each over its own sigma), none counted above 5 squared; at least `most` as soon as it
+/// reaches that.
+pub fn truncated(residuals: impl Iterator<Item = f64>, most: f64) -> f64 {
+    let mut sum = 0.0;
+    for r in residuals {
+        sum += (r * r).min(25.0);
+        if sum >= most {
+            break;
+        }
+    }
+    sum
 }
 
 #[cfg(test)]
@@ -77,11 +122,9 @@ mod tests {
     #[test]
     fn a_start_ignores_outliers_that_agree_with_each_other() {
         let values: Vec<f64> = (0..100).map(|k| if k < 30 { 50.0 } else { f64::from(k % 3) }).collect();
-        let mean = |few: &mut dyn Iterator<Item = usize>| {
-            let few: Vec<f64> = few.map(|k| values[k]).collect();
-            Some(few.iter().sum::<f64>() / few.len() as f64)
-        };
-        let got = start(100, mean, |m| values.iter().map(|v| v - m).collect()).expect("means exist");
+        let mean = |few: &[usize]| Some(few.iter().map(|k| values[*k]).sum::<f64>() / few.len() as f64);
+        let loss = |m: &f64, most: f64| truncated(values.iter().map(|v| v - m), most);
+        let got = start(100, mean, loss).expect("means exist");
         assert!((0.5..1.5).contains(&got), "{got}");
     }
 

@@ -8,8 +8,8 @@
 //! other; and a surface once taught is fitted again by its height and tilt only.
 
 use super::Point3;
-use super::robust::{start, weigh};
-use nalgebra::{DMatrix, DVector, Matrix3, Vector2, Vector3};
+use super::robust::{Weights, start, truncated};
+use nalgebra::{Cholesky, Const, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// A right-handed local frame on the body: `u`, `v` along the surface, `w` outward (towards the camera).
 #[derive(Debug, PartialEq)]
@@ -60,21 +60,39 @@ pub const MAX_ORDER: usize = 5;
 pub struct Polynomial {
     order: usize,
     scale: f64,
-    coefficients: DVector<f64>,
-    covariance: DMatrix<f64>,
+    /// Zeros after those of the order.
+    coefficients: SVector<f64, MAX_TERMS>,
+    covariance: SMatrix<f64, MAX_TERMS, MAX_TERMS>,
 }
+
+const MAX_TERMS: usize = terms(MAX_ORDER);
 
 /// Number of coefficients of a polynomial of two variables.
 const fn terms(order: usize) -> usize {
     (order + 1) * (order + 2) / 2
 }
 
+/// `function::<ORDER, TERMS>` of an order known at run time: what it does over and over is then unrolled.
+macro_rules! of_order {
+    ($order:expr, $function:ident($($argument:expr),*)) => {
+        match $order {
+            0 => $function::<0, { terms(0) }>($($argument),*),
+            1 => $function::<1, { terms(1) }>($($argument),*),
+            2 => $function::<2, { terms(2) }>($($argument),*),
+            3 => $function::<3, { terms(3) }>($($argument),*),
+            4 => $function::<4, { terms(4) }>($($argument),*),
+            _ => $function::<MAX_ORDER, MAX_TERMS>($($argument),*),
+        }
+    };
+}
+
 /// The monomials uⁱ·vʲ, by rising i + j; u and v already divided by the scale.
-fn monomials(order: usize, u: f64, v: f64) -> [f64; terms(MAX_ORDER)] {
-    let mut m = [0.0; terms(MAX_ORDER)];
+#[inline(always)]
+fn monomials<const ORDER: usize, const TERMS: usize>(u: f64, v: f64) -> SVector<f64, TERMS> {
+    let mut m = SVector::zeros();
     m[0] = 1.0;
     let mut k = 1;
-    for degree in 1..=order {
+    for degree in 1..=ORDER {
         let before = k - degree; // first monomial of the degree below
         for i in 0..degree {
             m[k] = m[before + i] * u;
@@ -86,37 +104,96 @@ fn monomials(order: usize, u: f64, v: f64) -> [f64; terms(MAX_ORDER)] {
     m
 }
 
+fn height<const ORDER: usize, const TERMS: usize>(p: &Polynomial, u: f64, v: f64) -> f64 {
+    p.coefficients.fixed_rows::<TERMS>(0).dot(&monomials::<ORDER, TERMS>(u, v))
+}
+
+fn variance<const ORDER: usize, const TERMS: usize>(p: &Polynomial, u: f64, v: f64) -> f64 {
+    let m = monomials::<ORDER, TERMS>(u, v);
+    m.dot(&(p.covariance.fixed_view::<TERMS, TERMS>(0, 0) * m))
+}
+
+/// The polynomial of least squares over (u and v in units of the scale, height, weight), and the factor of its
+/// information. `None` with fewer than 1.5 points per coefficient or where the points do not determine it.
+fn solve<const ORDER: usize, const TERMS: usize>(
+    points: impl Iterator<Item = (Vector2<f64>, f64, f64)>,
+) -> Option<(SVector<f64, TERMS>, Cholesky<f64, Const<TERMS>>)> {
+    let (mut normal, mut right, mut used) = (SMatrix::<f64, TERMS, TERMS>::zeros(), SVector::zeros(), 0);
+    for (uv, w, weight) in points.filter(|(.., weight)| *weight > 0.0) {
+        used += 1;
+        let m = monomials::<ORDER, TERMS>(uv.x, uv.y);
+        for j in 0..TERMS {
+            let weighted = weight * m[j];
+            right[j] += weighted * w;
+            for i in j..TERMS {
+                normal[(i, j)] += weighted * m[i];
+            }
+        }
+    }
+    if 2 * used < 3 * TERMS {
+        return None;
+    }
+    let cholesky = Cholesky::new(normal)?; // reads the lower triangle only
+    let diagonal = cholesky.l_dirty().diagonal();
+    (diagonal.min() >= 1e-7 * diagonal.max()).then(|| (cholesky.solve(&right), cholesky))
+}
+
+/// Cells in units of their own: what a fit asks of them again and again.
+struct Scaled {
+    scale: f64,
+    points: Vec<ScaledCell>,
+}
+
+/// u and v over the scale, height, 1/sigma.
+type ScaledCell = (Vector2<f64>, f64, f64);
+
+impl Scaled {
+    fn new<'c>(cells: impl Iterator<Item = &'c Cell> + Clone) -> Self {
+        let scale = cells.clone().map(|c| c.uv.amax()).fold(1.0, f64::max);
+        Self { scale, points: cells.map(|c| (c.uv / scale, c.w, c.variance.sqrt().recip())).collect() }
+    }
+
+    /// Of a polynomial, each over its sigma.
+    fn residuals(&self, p: &Polynomial) -> impl Iterator<Item = f64> {
+        let to_own = self.scale / p.scale;
+        self.points.iter().map(move |(uv, w, inverse_sigma)| {
+            let uv = uv * to_own;
+            (w - of_order!(p.order, height(p, uv.x, uv.y))) * inverse_sigma
+        })
+    }
+}
+
+/// Weighted least squares; `weights` multiply 1/variance.
+fn fit<const ORDER: usize, const TERMS: usize>(cells: &Scaled, weights: &[f64]) -> Option<Polynomial> {
+    let weighted = |((uv, w, inverse_sigma), weight): (&ScaledCell, &f64)| (*uv, *w, inverse_sigma.powi(2) * weight);
+    let points = cells.points.iter().zip(weights).map(weighted);
+    let (coefficients, cholesky) = solve::<ORDER, TERMS>(points)?;
+    let mut fitted = Polynomial::flat(ORDER, cells.scale);
+    fitted.coefficients.fixed_rows_mut::<TERMS>(0).copy_from(&coefficients);
+    fitted.covariance.fixed_view_mut::<TERMS, TERMS>(0, 0).copy_from(&cholesky.inverse());
+    Some(fitted)
+}
+
+/// The fit that outliers do not pull, without its covariance: of fits to few of the cells the one that most of them agree with.
+fn robust_start<const ORDER: usize, const TERMS: usize>(judges: &Scaled) -> Option<Polynomial> {
+    let points = &judges.points;
+    let point = |k: &usize| (points[*k].0, points[*k].1, points[*k].2.powi(2));
+    let few = |picked: &[usize]| Some(solve::<ORDER, TERMS>(picked.iter().map(point))?.0);
+    let loss = |c: &SVector<f64, TERMS>, most: f64| {
+        let residual =
+            |(uv, w, inverse_sigma): &ScaledCell| (w - c.dot(&monomials::<ORDER, TERMS>(uv.x, uv.y))) * inverse_sigma;
+        truncated(points.iter().map(residual), most)
+    };
+    let coefficients = start(points.len(), few, loss)?;
+    let mut started = Polynomial::flat(ORDER, judges.scale);
+    started.coefficients.fixed_rows_mut::<TERMS>(0).copy_from(&coefficients);
+    Some(started)
+}
+
 impl Polynomial {
-    /// Weighted least squares over `cells`; `weight` (≥ 0) multiplies 1/variance. `None` with fewer than
-    /// 1.5 cells per coefficient or where the cells do not determine it.
-    fn fit(cells: &[Cell], order: usize, weight: impl Fn(usize) -> f64) -> Option<Self> {
-        let n = terms(order);
-        let scale = cells.iter().map(|c| c.uv.amax()).fold(1.0, f64::max);
-        let (mut normal, mut right, mut used) = (DMatrix::zeros(n, n), DVector::zeros(n), 0);
-        for (k, cell) in cells.iter().enumerate() {
-            let weight = weight(k) / cell.variance;
-            if weight <= 0.0 {
-                continue;
-            }
-            used += 1;
-            let m = monomials(order, cell.uv.x / scale, cell.uv.y / scale);
-            for i in 0..n {
-                right[i] += weight * m[i] * cell.w;
-                for j in 0..=i {
-                    normal[(i, j)] += weight * m[i] * m[j];
-                }
-            }
-        }
-        if 2 * used < 3 * n {
-            return None;
-        }
-        normal.fill_upper_triangle_with_lower_triangle();
-        let cholesky = normal.cholesky()?;
-        let diagonal = cholesky.l_dirty().diagonal();
-        if diagonal.min() < 1e-7 * diagonal.max() {
-            return None;
-        }
-        Some(Self { order, scale, coefficients: cholesky.solve(&right), covariance: cholesky.inverse() })
+    /// Height 0 without noise.
+    fn flat(order: usize, scale: f64) -> Self {
+        Self { order, scale, coefficients: SVector::zeros(), covariance: SMatrix::zeros() }
     }
 
     /// A surface without noise from its coefficients by rising degree, u and v in units of `scale` mm; `None` where
@@ -124,25 +201,24 @@ impl Polynomial {
     pub fn from_coefficients(scale: f64, coefficients: &[f64]) -> Option<Self> {
         let order = (0..=MAX_ORDER).find(|order| terms(*order) == coefficients.len())?;
         let finite = scale > 0.0 && scale.is_finite() && coefficients.iter().all(|c| c.is_finite());
-        let n = coefficients.len();
-        let coefficients = DVector::from_row_slice(coefficients);
-        finite.then(|| Self { order, scale, coefficients, covariance: DMatrix::zeros(n, n) })
+        let mut exact = Self::flat(order, scale);
+        exact.coefficients.rows_mut(0, coefficients.len()).copy_from_slice(coefficients);
+        finite.then_some(exact)
     }
 
     /// Scale (mm) and coefficients, as `from_coefficients` takes them.
     pub fn coefficients(&self) -> (f64, Vec<f64>) {
-        (self.scale, self.coefficients.iter().copied().collect())
+        (self.scale, self.coefficients.as_slice()[..terms(self.order)].to_vec())
     }
 
     /// Height at (u, v), mm.
     pub fn height(&self, uv: &Vector2<f64>) -> f64 {
-        let m = monomials(self.order, uv.x / self.scale, uv.y / self.scale);
-        self.coefficients.iter().zip(m).map(|(c, m)| c * m).sum()
+        of_order!(self.order, height(self, uv.x / self.scale, uv.y / self.scale))
     }
 
     /// Slopes ∂w/∂u, ∂w/∂v at (u, v).
     pub fn slope(&self, uv: &Vector2<f64>) -> Vector2<f64> {
-        let m = monomials(self.order, uv.x / self.scale, uv.y / self.scale);
+        let m = monomials::<MAX_ORDER, MAX_TERMS>(uv.x / self.scale, uv.y / self.scale);
         let (mut du, mut dv) = (0.0, 0.0);
         let mut k = 1;
         for degree in 1..=self.order {
@@ -159,9 +235,7 @@ impl Polynomial {
 
     /// Variance of the height at (u, v), mm², from the cells' noise.
     pub fn variance(&self, uv: &Vector2<f64>) -> f64 {
-        let m = monomials(self.order, uv.x / self.scale, uv.y / self.scale);
-        let m = DVector::from_row_slice(&m[..terms(self.order)]);
-        m.dot(&(&self.covariance * &m))
+        of_order!(self.order, variance(self, uv.x / self.scale, uv.y / self.scale))
     }
 }
 
@@ -185,25 +259,24 @@ impl<F> Surface<F> {
     /// quadric that most cells agree with, which a tyre behind a part of the patch does not pull, by Tukey's
     /// biweight with its scale from the residuals. `None` where the cells do not determine it.
     pub fn fit(local: Local<F>, cells: &[Cell], order: usize, radius_mm: f64) -> Option<Self> {
-        let cells: Vec<Cell> = cells.iter().filter(|c| c.uv.norm() <= radius_mm).copied().collect();
-        let mut weights = vec![1.0; cells.len()];
-        let mut residuals = vec![0.0; cells.len()];
-        let mut polynomial = robust_start(&cells, order.min(2))?;
+        let inside = cells.iter().filter(|c| c.uv.norm() <= radius_mm);
+        let scaled = Scaled::new(inside.clone());
+        let n = scaled.points.len();
+        let judges = Scaled::new(inside.clone().step_by(n.div_ceil(JUDGES).max(1)));
+        let mut weights = Weights::default();
+        let mut polynomial = of_order!(order.min(2), robust_start(&judges))?;
         for round in 0..BIWEIGHT_ROUNDS {
-            for (r, c) in residuals.iter_mut().zip(&cells) {
-                *r = (c.w - polynomial.height(&c.uv)) / c.variance.sqrt();
-            }
-            weights = weigh(&residuals).0;
+            weights.weigh(scaled.residuals(&polynomial));
             let order = if round == 0 { order.min(2) } else { order };
-            polynomial = Polynomial::fit(&cells, order, |k| weights[k])?;
+            polynomial = of_order!(order, fit(&scaled, &weights.weights))?;
         }
-        let used = weights.iter().filter(|w| **w > 0.0).count();
+        let used = weights.weights.iter().filter(|w| **w > 0.0).count();
         Some(Self {
-            misfit_mm: misfit(&cells, &weights, &polynomial),
+            misfit_mm: misfit(inside, &weights.weights, &polynomial),
             local,
             polynomial,
             radius_mm,
-            inliers: used as f64 / cells.len() as f64,
+            inliers: used as f64 / n as f64,
         })
     }
 
@@ -300,25 +373,10 @@ const RIPPLE_MM: f64 = 0.005;
 /// At most this many cells judge where the robust fit starts.
 const JUDGES: usize = 300;
 
-/// The fit that outliers do not pull: of fits to few of the cells the one that most of them agree with.
-fn robust_start(cells: &[Cell], order: usize) -> Option<Polynomial> {
-    let judges: Vec<Cell> = cells.iter().step_by(cells.len().div_ceil(JUDGES).max(1)).copied().collect();
-    if judges.is_empty() {
-        return None;
-    }
-    let fit = |picked: &mut dyn Iterator<Item = usize>| {
-        let picked: Vec<Cell> = picked.map(|k| judges[k]).collect();
-        Polynomial::fit(&picked, order, |_| 1.0)
-    };
-    let residuals = |p: &Polynomial| judges.iter().map(|c| (c.w - p.height(&c.uv)) / c.variance.sqrt()).collect();
-    start(judges.len(), fit, residuals)
-}
-
 /// What the polynomial does not follow, rms, mm: the mean product of the residuals of neighbouring cells, which
 /// noise leaves at 0 whatever its size (Moran, Biometrika 37 (1950) 17), less twice the scatter of that mean.
-fn misfit(cells: &[Cell], weights: &[f64], polynomial: &Polynomial) -> f64 {
+fn misfit<'c>(cells: impl Iterator<Item = &'c Cell>, weights: &[f64], polynomial: &Polynomial) -> f64 {
     let mut residuals: Vec<([i32; 2], f64, f64)> = cells
-        .iter()
         .zip(weights)
         .filter(|(_, w)| **w > 0.0)
         .map(|(c, _)| (c.index, c.w - polynomial.height(&c.uv), c.variance))
@@ -370,8 +428,8 @@ mod tests {
 
     #[test]
     fn monomials_are_in_the_order_of_their_degree() {
-        assert_eq!(monomials(2, 2.0, 3.0)[..6], [1.0, 2.0, 3.0, 4.0, 6.0, 9.0]);
-        assert_eq!(monomials(4, 2.0, 3.0)[10..15], [16.0, 24.0, 36.0, 54.0, 81.0]);
+        assert_eq!(monomials::<2, 6>(2.0, 3.0).as_slice(), [1.0, 2.0, 3.0, 4.0, 6.0, 9.0]);
+        assert_eq!(monomials::<4, 15>(2.0, 3.0).as_slice()[10..], [16.0, 24.0, 36.0, 54.0, 81.0]);
     }
 
     #[test]
@@ -402,10 +460,10 @@ mod tests {
         let mean = pairs.iter().map(|(a, b)| a.w * b.w).sum::<f64>() / n;
         let scatter = pairs.iter().map(|(a, b)| a.variance * b.variance).sum::<f64>();
         let expected = (mean - 2.0 * scatter.sqrt() / n).sqrt();
-        assert!(expected > 0.02 && (misfit(&cells, &weights, &flat) / expected - 1.0).abs() < 1e-9);
+        assert!(expected > 0.02 && (misfit(cells.iter(), &weights, &flat) / expected - 1.0).abs() < 1e-9);
         cells.reverse();
         let reversed: Vec<f64> = weights.iter().rev().copied().collect();
-        assert!((misfit(&cells, &reversed, &flat) / expected - 1.0).abs() < 1e-9, "in any order");
+        assert!((misfit(cells.iter(), &reversed, &flat) / expected - 1.0).abs() < 1e-9, "in any order");
     }
 
     #[test]

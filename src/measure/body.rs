@@ -11,27 +11,34 @@ use crate::vehicle::PanelMask;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
-/// A local frame and the panel about it.
-pub(crate) struct Site<'a> {
-    pub(crate) local: Local<frame::Camera>,
-    pub(crate) panel: &'a PanelMask,
-    /// Where the panel begins, mm from the origin: patches reach that much wider.
+/// The panel about a feature.
+pub(crate) struct Panel {
+    pub(crate) mask: PanelMask,
+    /// Where it begins, mm from the origin: patches reach that much wider.
     pub(crate) hole_mm: f64,
 }
 
-impl<'a> Site<'a> {
-    pub(crate) fn new(local: Local<frame::Camera>, panel: &'a PanelMask) -> Self {
-        Self { local, panel, hole_mm: panel.hole_mm() }
+impl Panel {
+    pub(crate) fn new(mask: PanelMask) -> Self {
+        Self { hole_mm: mask.hole_mm(), mask }
     }
+}
 
+/// A local frame and the panel about it.
+pub(crate) struct Site<'a> {
+    pub(crate) local: Local<frame::Camera>,
+    pub(crate) panel: &'a Panel,
+}
+
+impl Site<'_> {
     /// Every how many rows and columns its pixels are looked at.
     fn step(&self) -> usize {
-        if self.hole_mm > WIDE_HOLE_MM { 2 } else { 1 }
+        if self.panel.hole_mm > WIDE_HOLE_MM { 2 } else { 1 }
     }
 
     /// Of the patches about it, mm.
-    fn radii(&self) -> [f64; 4] {
-        RADII_MM.map(|r| r + self.hole_mm)
+    pub(crate) fn radii(&self) -> [f64; 4] {
+        RADII_MM.map(|r| r + self.panel.hole_mm)
     }
 }
 
@@ -72,6 +79,29 @@ pub(crate) fn why_no_depth(states: &[State], usable: usize) -> Code {
 pub(crate) struct Patch {
     pub(crate) surface: Surface<frame::Camera>,
     pub(crate) coverage: f64,
+    /// What it was fitted to, in the local frame of the surface.
+    cells: Vec<Cell>,
+}
+
+impl Patch {
+    /// The patch about another place near its own, from the same cells: for when that place is known better.
+    pub(crate) fn moved(&self, local: Local<frame::Camera>, shape: &Shape<'_>) -> Result<Self, Code> {
+        let old = &self.surface.local;
+        let (turn, shift) = (local.axes.transpose() * old.axes, local.coordinates(old.origin));
+        let moved = |c: &Cell| {
+            let p = turn * c.uv.push(c.w) + shift;
+            Cell { uv: p.xy(), w: p.z, ..*c }
+        };
+        Self::new(local, self.cells.iter().map(moved).collect(), self.coverage, shape)
+    }
+
+    fn new(local: Local<frame::Camera>, cells: Vec<Cell>, coverage: f64, shape: &Shape<'_>) -> Result<Self, Code> {
+        let surface = shape.fit(local, &cells).ok_or(Code::CoverageLow)?;
+        if surface.misfit_mm > MAX_MISFIT_MM {
+            return Err(Code::NotSmooth);
+        }
+        Ok(Self { surface, coverage, cells })
+    }
 }
 
 /// Sums of one cell.
@@ -175,7 +205,7 @@ pub(crate) fn panel_pixels(
         let rays = rays.part(first..(y * window.width + columns.end).max(first));
         for (i, ray) in (first..).zip(rays).step_by(step) {
             let uv = plane.meet(ray);
-            if uv.norm_squared() <= reach_mm * reach_mm && site.panel.contains(&uv) {
+            if uv.norm_squared() <= reach_mm * reach_mm && site.panel.mask.contains(&uv) {
                 visit(i, &ray.push(1.0), &uv);
             }
         }
@@ -266,10 +296,19 @@ pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> O
 
 /// What a patch may be.
 pub(crate) enum Shape<'a> {
-    /// Anything smooth: of the orders and radii the one with the least expected error over these local (u, v).
-    Smooth(&'a [Vector2<f64>]),
+    /// Anything smooth: of the orders and these radii (mm) the one with the least expected error over these local (u, v).
+    Smooth([f64; 4], &'a [Vector2<f64>]),
     /// What was taught, within the radius (mm) it was taught for.
     Taught(&'a Polynomial, f64),
+}
+
+impl Shape<'_> {
+    fn fit(&self, local: Local<frame::Camera>, cells: &[Cell]) -> Option<Surface<frame::Camera>> {
+        match self {
+            Self::Smooth(radii, at) => Surface::choose(local, cells, ORDERS, radii, at),
+            Self::Taught(shape, radius_mm) => Surface::fit_shape(local, cells, shape, *radius_mm),
+        }
+    }
 }
 
 /// Flap pixels nearer to the gap than this are not believed, mm.
@@ -285,11 +324,12 @@ pub(crate) fn bridge(
     panel: &Surface<frame::Camera>,
     uv: &Vector2<f64>,
 ) -> Option<f64> {
-    let everywhere = PanelMask::new(site.panel.cell_mm, site.panel.half, |_| true);
-    let flap_mm = site.hole_mm - FLAP_MARGIN_MM;
+    let everywhere = PanelMask::new(site.panel.mask.cell_mm, site.panel.mask.half, |_| true);
+    let everywhere = Panel { mask: everywhere, hole_mm: 0.0 };
+    let flap_mm = site.panel.hole_mm - FLAP_MARGIN_MM;
     let mut sums = CellSums::new(flap_mm);
     let outward: Vector3<f64> = site.local.axes.column(2).into();
-    let flap = Site { local: site.local, panel: &everywhere, hole_mm: 0.0 };
+    let flap = Site { local: site.local, panel: &everywhere };
     panel_pixels(map.rays, camera, &flap, flap_mm, |i, ray, _| {
         let depth = &map.pixels[i];
         let c = site.local.coordinates(Point3::new(ray * f64::from(depth.z)));
@@ -303,7 +343,7 @@ pub(crate) fn bridge(
     let flap = Surface::fit(site.local, &cells, 4, flap_mm)?;
     let ring = (0..36).map(|k| {
         let (sin, cos) = (f64::from(k) * std::f64::consts::TAU / 36.0).sin_cos();
-        flap.polynomial.height(&(Vector2::new(cos, sin) * site.hole_mm))
+        flap.polynomial.height(&(Vector2::new(cos, sin) * site.panel.hole_mm))
     });
     Some(flap.polynomial.height(uv) - ring.sum::<f64>() / 36.0)
 }
@@ -356,7 +396,7 @@ impl Samples {
         for sample in &self.0 {
             let uv = plane.meet(&sample.ray);
             let square = uv.norm_squared();
-            if square > radii[3] * radii[3] || !site.panel.contains(&uv) {
+            if square > radii[3] * radii[3] || !site.panel.mask.contains(&uv) {
                 continue;
             }
             let near = square <= radii[1] * radii[1];
@@ -375,11 +415,7 @@ impl Samples {
         if coverage < MIN_COVERAGE {
             return Err(why_no_depth(&states, valid));
         }
-        let fit = |cells: &[Cell]| match shape {
-            Shape::Smooth(at) => Surface::choose(site.local, cells, ORDERS, &radii, at),
-            Shape::Taught(shape, radius_mm) => Surface::fit_shape(site.local, cells, shape, *radius_mm),
-        };
-        let first = fit(&sums.cells()).ok_or(Code::CoverageLow)?;
+        let first = shape.fit(site.local, &sums.cells()).ok_or(Code::CoverageLow)?;
         // once more without the pixels that stand out: edge pixels that mix two depths, fringe orders gone wrong
         sums.clear();
         for (c, variance) in &used {
@@ -388,11 +424,7 @@ impl Samples {
                 sums.add(c, *variance);
             }
         }
-        let surface = fit(&sums.cells()).ok_or(Code::CoverageLow)?;
-        if surface.misfit_mm > MAX_MISFIT_MM {
-            return Err(Code::NotSmooth);
-        }
-        Ok(Patch { surface, coverage })
+        Patch::new(site.local, sums.cells(), coverage, shape)
     }
 }
 

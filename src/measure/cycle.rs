@@ -3,7 +3,7 @@
 //! where stages end. No state from one vehicle to the next.
 
 use super::ambient;
-use super::body::{self, OnPlane, Samples, Shape, Site};
+use super::body::{self, OnPlane, Panel, Patch, Samples, Shape, Site};
 use super::depth::{BodyDepth, Decoded, red_noise, stated_red_noise};
 use super::edges::{EdgeRay, edge_rays};
 use super::judge::{self, Evidence, Judged, Refused};
@@ -11,14 +11,15 @@ use super::light::{Light, saturated_share};
 use super::locate::{Located, locate};
 use super::moved::Motion;
 use super::regions::Region;
+use super::workspace::Buffers;
 use super::{Drawing, Measurement, Measurer, TYPICAL_DISTANCE_MM, detected};
 use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
-use crate::fringe::{self, Axis, Coordinate, Depth, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
+use crate::fringe::{self, Axis, Depth, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
 use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
 use crate::image::{Image, Window};
 use crate::optics::{Lens, Pixel};
-use crate::vehicle::Class;
+use crate::vehicle::{Class, Template};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -53,6 +54,9 @@ const MAX_PASSES: usize = 6;
 const STILL: (f64, f64) = (1e-5, 2e-3);
 /// How far from its expected place a contour is looked for: at first, and once the pose is good, mm.
 const CAPTURE_MM: (f64, f64) = (5.0, 1.5);
+/// Pixels are looked at anew for a patch where the pose has moved by more than this since they were, mm; else the patch's
+/// cells follow it.
+const PATCHED_MM: f64 = 0.5;
 /// How far inside the panel's border depth is believed: while the pose is coarse, and after, mm.
 pub(super) const EROSION_MM: (f64, f64) = (6.0, 1.5);
 /// A body that has moved by this much, mm, and so many sigmas, is not measured.
@@ -70,30 +74,6 @@ const CONTRADICTING: f64 = 30.0;
 const UNKNOWN_GROWTH_MM: f64 = 0.08;
 /// Share of a region's pixels that may be saturated in the red image.
 const MAX_SATURATED: f64 = 0.25;
-
-/// What is as large as an image or its regions and is used again for the next vehicle.
-pub(super) struct Buffers {
-    red: Image<f32>,
-    /// Of the pixels that depth is looked for in.
-    pub(super) rays: Rays,
-    wanted: Vec<bool>,
-    fringes: Fringes,
-    coordinates: Vec<Coordinate>,
-    depths: Vec<Depth>,
-}
-
-impl Default for Buffers {
-    fn default() -> Self {
-        Self {
-            red: Image::filled(0, 0, 0.0),
-            rays: Rays::empty(),
-            wanted: Vec::new(),
-            fringes: Fringes::none(),
-            coordinates: Vec::new(),
-            depths: Vec::new(),
-        }
-    }
-}
 
 /// A measurement in progress.
 pub struct Cycle<'a> {
@@ -115,7 +95,7 @@ impl Drop for Cycle<'_> {
     fn drop(&mut self) {
         let mut buffers = std::mem::take(&mut self.buffers);
         buffers.wanted = buffers.fringes.take_wanted();
-        self.measurer.keep(buffers);
+        self.measurer.shared.workspace.give_back(buffers);
     }
 }
 
@@ -128,7 +108,7 @@ impl<'a> Cycle<'a> {
         ambient: Option<&Image<u16>>,
     ) -> Self {
         let camera = &measurer.calibration.rig.camera;
-        let mut buffers = measurer.buffers();
+        let mut buffers = measurer.shared.workspace.take();
         let Buffers { red: as_f32, rays, wanted, fringes, .. } = &mut buffers;
         ambient::without_into(red, ambient, &capture.camera, as_f32);
         let white = capture.camera.white_level();
@@ -261,7 +241,7 @@ impl<'c> Run<'c, '_> {
         let red_noise = red_noise(c.capture, &decoded.noise);
         ended(Stage::Decode);
 
-        let far = sites(templates, &m.far_masks, &first);
+        let far = sites(templates, &m.far, &first);
         let mut body = self.depth(decoded, depths, &far)?;
         let mut pose = self.second_pose(&body.coarse).unwrap_or(first);
         if !within(&pose, &first, m, MARGIN_USED_MM) {
@@ -290,30 +270,37 @@ impl<'c> Run<'c, '_> {
         let rays = self.edges(&contour_windows(m, &pose, 0.0), red_noise);
         let mut samples = self.samples(body, &pose);
         let mut sampled_at = pose;
+        let mut patches: Vec<Result<Patch, Code>> = Vec::new();
+        let mut patched_at = None;
         for pass in 0..MAX_PASSES {
             if !within(&pose, &sampled_at, m, MARGIN_MM) {
                 (samples, sampled_at) = (self.samples(body, &pose), pose);
             }
             let capture = if pass == 0 { CAPTURE_MM.0 } else { CAPTURE_MM.1 };
-            let masks = if pass == 0 { &m.far_masks } else { &m.near_masks };
-            let sites = sites(templates, masks, &pose);
+            let sites = sites(templates, if pass == 0 { &m.far } else { &m.near }, &pose);
+            let near = patched_at.is_some_and(|at| within(&pose, &at, m, PATCHED_MM));
             let found = |k: usize| {
                 if c.red_saturated[k] > MAX_SATURATED {
-                    return (1.0, Err(Code::Saturated));
+                    return (Err(Code::Saturated), Err(Code::Saturated));
                 }
                 // a region that was not found may still be where the others' pose expects it
                 let shape = Shape::Taught(&m.surfaces[k], templates[k].surface.radius_mm);
-                let patch = match samples[k].patch(&sites[k], &shape) {
-                    Ok(patch) => patch,
-                    Err(code) => return (1.0, Err(code)),
+                let patch = match patches.get(k) {
+                    Some(Ok(patch)) if near => patch.moved(sites[k].local, &shape),
+                    _ => samples[k].patch(&sites[k], &shape),
                 };
-                let located = locate(&templates[k], &m.surfaces[k], &patch, &rays, capture, (rig, self.axis))
-                    .map_err(|code| c.regions[k].err().unwrap_or(code));
-                (patch.coverage, located)
+                let located = patch.as_ref().map_err(|code| *code).and_then(|patch| {
+                    locate(&templates[k], &m.surfaces[k], patch, &rays, capture, (rig, self.axis))
+                        .map_err(|code| c.regions[k].err().unwrap_or(code))
+                });
+                (patch, located)
             };
             let found: Vec<_> = (0..templates.len()).into_par_iter().map(found).collect();
-            self.coverage = Some(found.iter().map(|(coverage, _)| *coverage).fold(1.0, f64::min));
-            self.located = found.into_iter().map(|(_, located)| located).collect();
+            (patches, self.located) = found.into_iter().unzip();
+            if pass > 0 && !near {
+                patched_at = Some(pose);
+            }
+            self.coverage = Some(patches.iter().flatten().map(|patch| patch.coverage).fold(1.0, f64::min));
             // the flap's opening tells how much paint and light have done to all edges
             let opening = m.vehicle.features.iter().position(|f| f.class == Class::Point3);
             let growth = opening.and_then(|k| self.located[k].as_ref().ok()).map_or(UNKNOWN_GROWTH_MM, |l| l.growth_mm);
@@ -396,17 +383,16 @@ impl<'c> Run<'c, '_> {
     /// The pixels about each feature of a vehicle that stands near `pose`.
     fn samples(&self, body: &BodyDepth<'_>, pose: &CameraFromVehicle) -> Vec<Samples> {
         let m = self.cycle.measurer;
-        let sites = sites(&m.templates, &m.grown_masks, pose);
-        let about = |(site, t): (&Site<'_>, &crate::vehicle::Template)| {
-            Samples::new(&body.map, &m.depth_rig.camera, site, reach(t), &body.coarse)
-        };
-        sites.par_iter().zip(&m.templates).map(about).collect()
+        let sites = sites(&m.templates, &m.grown, pose);
+        let about =
+            |(site, reach): (&Site<'_>, &f64)| Samples::new(&body.map, &m.depth_rig.camera, site, *reach, &body.coarse);
+        sites.par_iter().zip(&m.reach_mm).map(about).collect()
     }
 
     fn too_few(&self) -> Refused {
         // a region that was found, but not measured because the others were not, explains nothing
         let explains = |l: &Result<Located, Code>| l.as_ref().err().copied().filter(|c| *c != Code::TooFewFeatures);
-        let why = |(t, l): (&crate::vehicle::Template, &Result<Located, Code>)| {
+        let why = |(t, l): (&Template, &Result<Located, Code>)| {
             explains(l).map(|code| format!("{}: {} {}", t.feature, code.number(), code.entry().name))
         };
         let reasons: Vec<String> = self.cycle.measurer.templates.iter().zip(&self.located).filter_map(why).collect();
@@ -469,12 +455,8 @@ impl<'c> Run<'c, '_> {
     }
 }
 
-pub(super) fn sites<'m>(
-    templates: &[crate::vehicle::Template],
-    masks: &'m [crate::vehicle::PanelMask],
-    pose: &CameraFromVehicle,
-) -> Vec<Site<'m>> {
-    templates.iter().zip(masks).map(|(t, panel)| Site::new(t.local(pose), panel)).collect()
+pub(super) fn sites<'m>(templates: &[Template], panels: &'m [Panel], pose: &CameraFromVehicle) -> Vec<Site<'m>> {
+    templates.iter().zip(panels).map(|(t, panel)| Site { local: t.local(pose), panel }).collect()
 }
 
 pub(super) fn about(camera: &Lens, centre: &Vector3<f64>, half_mm: f64) -> Option<Window> {
@@ -484,14 +466,14 @@ pub(super) fn about(camera: &Lens, centre: &Vector3<f64>, half_mm: f64) -> Optio
 }
 
 /// How far from a feature depth is wanted, mm: masks less a margin begin that much farther out.
-fn reach(t: &crate::vehicle::Template) -> f64 {
+pub(super) fn reach(t: &Template) -> f64 {
     t.panel.hole_mm() + EROSION_MM.0 + body::REACH_MM + MARGIN_MM
 }
 
 /// What of the thinned images depth is looked for in.
 fn depth_window(m: &Measurer, pose: &CameraFromVehicle) -> Option<Window> {
-    let region = |t| about(&m.depth_rig.camera, &crate::vehicle::Template::local(t, pose).origin.xyz, reach(t));
-    let regions = m.templates.iter().filter_map(region);
+    let region = |(t, reach): (&Template, &f64)| about(&m.depth_rig.camera, &t.local(pose).origin.xyz, *reach);
+    let regions = m.templates.iter().zip(&m.reach_mm).filter_map(region);
     regions.reduce(|a, b| {
         let (x, y) = (a.x.min(b.x), a.y.min(b.y));
         let right = (a.x + a.width).max(b.x + b.width);
@@ -505,19 +487,19 @@ fn depth_window(m: &Measurer, pose: &CameraFromVehicle) -> Option<Window> {
 fn want(m: &Measurer, pose: &CameraFromVehicle, rays: &Rays, wanted: &mut Vec<bool>) {
     let Window { width, height, .. } = rays.window;
     wanted.extend((0..width * height).map(|i| fringe::is_sampled(&rays.window, i % width, i / width)));
-    for (site, template) in sites(&m.templates, &m.grown_masks, pose).iter().zip(&m.templates) {
-        body::panel_pixels(rays, &m.depth_rig.camera, site, reach(template), |i, _, _| wanted[i] = true);
+    for (site, reach) in sites(&m.templates, &m.grown, pose).iter().zip(&m.reach_mm) {
+        body::panel_pixels(rays, &m.depth_rig.camera, site, *reach, |i, _, _| wanted[i] = true);
     }
 }
 
 /// Whether every place about a feature of a vehicle at `pose` is, as the camera sees it, within `margin_mm` of where a
 /// vehicle at `guess` has it.
 fn within(pose: &CameraFromVehicle, guess: &CameraFromVehicle, m: &Measurer, margin_mm: f64) -> bool {
-    m.templates.iter().all(|t| {
+    m.templates.iter().zip(&m.reach_mm).all(|(t, reach)| {
         let (local, plane) = (t.local(pose), OnPlane::new(&t.local(guess)));
         (0..8).all(|k| {
             let (sin, cos) = (f64::from(k) * std::f64::consts::FRAC_PI_4).sin_cos();
-            let uv = Vector2::new(cos, sin) * reach(t);
+            let uv = Vector2::new(cos, sin) * *reach;
             let p = local.point(&uv.push(0.0)).xyz;
             p.z > 0.0 && (plane.meet(&(p.xy() / p.z)) - uv).norm() <= margin_mm
         })
@@ -526,7 +508,7 @@ fn within(pose: &CameraFromVehicle, guess: &CameraFromVehicle, m: &Measurer, mar
 
 /// The regions to find edges in, `margin_mm` wider than a vehicle at `pose` needs.
 pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle, margin_mm: f64) -> Vec<Window> {
-    let reach = |t: &crate::vehicle::Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
+    let reach = |t: &Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
     let half = |t| reach(t) + 2.0 * CAPTURE_MM.0 + margin_mm;
     let camera = &m.calibration.rig.camera;
     m.templates.iter().filter_map(|t| about(camera, &t.local(pose).origin.xyz, half(t))).collect()

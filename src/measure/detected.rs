@@ -41,7 +41,7 @@ pub(super) struct Regions {
 pub(super) fn regions(m: &Measurer, raw: &Image<u16>, white: f64, red: &Image<f32>) -> Regions {
     let camera = &m.calibration.rig.camera;
     let mut warning = None;
-    match m.detector.as_ref().map(|d| d.detect(raw, white)) {
+    match m.shared.detector.as_ref().map(|d| d.detect(raw, white)) {
         Some(Ok(found)) => {
             if let Some((regions, pose)) = fitting(&found, m) {
                 return Regions { regions, pose: Some(pose), warning };

@@ -24,6 +24,7 @@ mod regions;
 mod report;
 mod result;
 mod teach;
+mod workspace;
 
 pub use cycle::{Cycle, Stage};
 pub use result::{
@@ -31,6 +32,7 @@ pub use result::{
     Xyz, json, table,
 };
 pub use teach::{Taught, TeachError, teach};
+pub use workspace::Workspace;
 
 use crate::calibrate::{Calibration, ParameterCovariance, independent_errors};
 use crate::capture::{self, Capture};
@@ -39,7 +41,8 @@ use crate::geometry::{Polynomial, Pose, frame};
 use crate::image::Window;
 use crate::optics::{Pixel, Rig};
 use crate::vehicle::{Feature, PanelMask, Template, VehicleFile};
-use std::sync::{Arc, Mutex};
+use body::Panel;
+use std::sync::Arc;
 
 /// The design's working distance, mm: for what must be sized in pixels before depth is known.
 pub(crate) const TYPICAL_DISTANCE_MM: f64 = 750.0;
@@ -62,18 +65,26 @@ pub struct Measurer {
     templates: Vec<Template>,
     /// The panels' shapes about the features.
     surfaces: Vec<Polynomial>,
-    /// The panels' masks less a margin for a coarse pose, and for a good one.
-    far_masks: Vec<PanelMask>,
-    near_masks: Vec<PanelMask>,
-    /// The panels' masks and a margin, for a pose that is not known yet.
-    grown_masks: Vec<PanelMask>,
+    /// The panels less a margin for a coarse pose, and for a good one.
+    far: Vec<Panel>,
+    near: Vec<Panel>,
+    /// The panels and a margin, for a pose that is not known yet.
+    grown: Vec<Panel>,
+    /// How far from each feature depth is wanted, mm.
+    reach_mm: Vec<f64>,
     /// Depth is looked at in every so many-th column and row of the images, by a rig whose camera has no others.
     every: usize,
     depth_rig: Rig,
+    shared: Shared,
+}
+
+/// What the measurers of all models share.
+#[derive(Clone, Default)]
+pub struct Shared {
     /// Proposes regions; none: they are searched for.
-    detector: Option<Arc<Detector>>,
-    /// Buffers of vehicles that are done.
-    spare: Mutex<Vec<cycle::Buffers>>,
+    pub detector: Option<Arc<Detector>>,
+    /// Buffers.
+    pub workspace: Workspace,
 }
 
 impl Measurer {
@@ -85,9 +96,11 @@ impl Measurer {
 
     /// With templates already at hand, one per feature in its order.
     pub(crate) fn with_templates(calibration: Calibration, vehicle: VehicleFile, templates: Vec<Template>) -> Self {
-        let eroded = |mm: f64| templates.iter().map(|t| t.panel.eroded(mm)).collect();
-        let (far_masks, near_masks) = (eroded(cycle::EROSION_MM.0), eroded(cycle::EROSION_MM.1));
-        let grown_masks = templates.iter().map(|t| t.panel.grown(cycle::MARGIN_MM)).collect();
+        let panels =
+            |of: &dyn Fn(&PanelMask) -> PanelMask| templates.iter().map(|t| Panel::new(of(&t.panel))).collect();
+        let (far, near) = (panels(&|m| m.eroded(cycle::EROSION_MM.0)), panels(&|m| m.eroded(cycle::EROSION_MM.1)));
+        let grown = panels(&|m| m.grown(cycle::MARGIN_MM));
+        let reach_mm = templates.iter().map(cycle::reach).collect();
         let mut depth_rig = calibration.rig.clone();
         let pixels_per_mm = depth_rig.camera.fx / TYPICAL_DISTANCE_MM;
         let every = ((depth::LATTICE_MM * pixels_per_mm) as usize).max(1);
@@ -101,19 +114,19 @@ impl Measurer {
             vehicle,
             templates,
             surfaces,
-            far_masks,
-            near_masks,
-            grown_masks,
+            far,
+            near,
+            grown,
+            reach_mm,
             every,
             depth_rig,
-            detector: None,
-            spare: Mutex::default(),
+            shared: Shared::default(),
         }
     }
 
-    /// The same with a detector that proposes the regions, or without one.
-    pub fn with_detector(self, detector: Option<Arc<Detector>>) -> Self {
-        Self { detector, ..self }
+    /// The same, with what it shares with others.
+    pub fn sharing(self, shared: &Shared) -> Self {
+        Self { shared: shared.clone(), ..self }
     }
 
     /// The camera and projector that it measures with.
@@ -135,18 +148,6 @@ impl Measurer {
         ambient: Option<&crate::Image<u16>>,
     ) -> Cycle<'a> {
         Cycle::new(self, capture, red, ambient)
-    }
-
-    /// Buffers of an earlier vehicle, or empty ones. Images and maps of the size of regions are made once, not once per
-    /// vehicle, and nothing of what they held is read.
-    fn buffers(&self) -> cycle::Buffers {
-        self.spare.lock().ok().and_then(|mut spare| spare.pop()).unwrap_or_default()
-    }
-
-    fn keep(&self, buffers: cycle::Buffers) {
-        if let Ok(mut spare) = self.spare.lock() {
-            spare.push(buffers);
-        }
     }
 
     fn station(&self) -> Station {

@@ -16,14 +16,14 @@ impl Cycle<'_> {
         let m = self.measurer;
         let camera = &m.calibration.rig.camera;
         let Some(pose) = self.first_pose else { return vec![Vec::new(); m.templates.len()] };
-        let of = |(template, panel): (&crate::vehicle::Template, &crate::vehicle::PanelMask)| {
+        let of = |(template, panel): (&crate::vehicle::Template, &super::body::Panel)| {
             let local = template.local(&pose);
-            let reach = ABOUT_MM + panel.hole_mm();
+            let reach = ABOUT_MM + panel.hole_mm;
             let n = (reach / STEP_MM) as i32;
             let places = (-n..=n).flat_map(|i| (-n..=n).map(move |j| (f64::from(i) * STEP_MM, f64::from(j) * STEP_MM)));
             let pixel = |(u, v): (f64, f64)| {
                 let at = Vector3::new(u, v, 0.0);
-                if at.norm() > reach || !panel.contains(&at.xy()) {
+                if at.norm() > reach || !panel.mask.contains(&at.xy()) {
                     return None;
                 }
                 let p = camera.project(&local.point(&at).xyz)?;
@@ -33,6 +33,6 @@ impl Cycle<'_> {
             };
             places.filter_map(pixel).collect()
         };
-        m.templates.iter().zip(&m.far_masks).map(of).collect()
+        m.templates.iter().zip(&m.far).map(of).collect()
     }
 }

@@ -3,7 +3,7 @@
 //! Not here: files; moving the clicks. What was clicked is where the ray meets the fitted surface, and stays so.
 
 use super::ambient;
-use super::body::{self, Patch, Samples, Shape, Site};
+use super::body::{self, Panel, Patch, Samples, Shape, Site};
 use super::cycle::EROSION_MM;
 use super::depth::{BodyDepth, Decoded, red_noise};
 use super::edges::{self, EdgeRay};
@@ -156,8 +156,8 @@ pub fn teach(
         })
         .collect::<Result<_, TeachError>>()?;
     let masks: Vec<PanelMask> = flat.iter().map(|l| mask_about(camera, &panel, |uv| l.point(&uv.push(0.0)))).collect();
-    let eroded: Vec<PanelMask> = masks.iter().map(|m| m.eroded(EROSION_MM.1)).collect();
-    let sites: Vec<Site<'_>> = flat.iter().zip(&eroded).map(|(local, panel)| Site::new(*local, panel)).collect();
+    let eroded: Vec<Panel> = masks.iter().map(|m| Panel::new(m.eroded(EROSION_MM.1))).collect();
+    let sites: Vec<Site<'_>> = flat.iter().zip(&eroded).map(|(local, panel)| Site { local: *local, panel }).collect();
     let body =
         BodyDepth::new(&mut Vec::new(), &calibration.rig, &rays, &mut coordinates, &sites).ok_or(TeachError::Body {
             what: "too little of the panel about the clicked points has depth: check the projector and glare",
@@ -252,10 +252,11 @@ fn place(
         };
         let patch_about = |local: Local<frame::Camera>| {
             let mask = mask_about(camera, panel, |uv| surface_point(&body.coarse, &local, uv)).eroded(EROSION_MM.1);
-            let site = Site::new(local, &mask);
-            let at = judging_points(&mask, site.hole_mm);
-            let patch = Samples::new(&body.map, camera, &site, site.hole_mm + body::REACH_MM, &body.coarse)
-                .patch(&site, &Shape::Smooth(&at))
+            let panel = Panel::new(mask);
+            let site = Site { local, panel: &panel };
+            let at = judging_points(&panel);
+            let patch = Samples::new(&body.map, camera, &site, panel.hole_mm + body::REACH_MM, &body.coarse)
+                .patch(&site, &Shape::Smooth(site.radii(), &at))
                 .map_err(|code| {
                     refusal(
                         feature,
@@ -263,15 +264,15 @@ fn place(
                         "the surface about it cannot be measured: choose a capture without glare there",
                     )
                 })?;
-            Ok::<_, TeachError>((mask, patch))
+            Ok::<_, TeachError>((panel, patch))
         };
         let local = frame_at(*point, &body.coarse);
-        let (mask, patch) = patch_about(local)?;
+        let (about, patch) = patch_about(local)?;
         let ray = camera.ray(click).expect("checked above");
         let missed = || refusal(feature, Code::CoverageLow, "the click's ray misses the surface");
         let met = patch.surface.meet(&ray, 0.0).ok_or_else(missed)?;
         let lift = if matches!(feature.kind, Kind::Ellipse | Kind::Outline) {
-            body::bridge(&body.map, camera, &Site::new(local, &mask), &patch.surface, &met.xy()).unwrap_or(0.0)
+            body::bridge(&body.map, camera, &Site { local, panel: &about }, &patch.surface, &met.xy()).unwrap_or(0.0)
         } else {
             0.0
         };
@@ -286,12 +287,13 @@ fn place(
 
 /// Where a patch must be right, local (u, v): about the point as far as its contour reaches, and in the point itself
 /// unless that lies in a hole.
-fn judging_points(panel: &PanelMask, hole_mm: f64) -> Vec<Vector2<f64>> {
+fn judging_points(panel: &Panel) -> Vec<Vector2<f64>> {
+    let hole_mm = panel.hole_mm;
     let ring = (0..12).map(|k| {
         let turn = nalgebra::Rotation2::new(f64::from(k) * std::f64::consts::TAU / 12.0);
         turn * Vector2::new(hole_mm + CORNER_MM / 2.0, 0.0)
     });
-    let mut at: Vec<Vector2<f64>> = ring.filter(|uv| panel.contains(uv)).collect();
+    let mut at: Vec<Vector2<f64>> = ring.filter(|uv| panel.mask.contains(uv)).collect();
     if hole_mm < CORNER_MM / 2.0 || at.is_empty() {
         at.push(Vector2::zeros());
     }

@@ -4,9 +4,8 @@
 
 use crate::calibrate::Calibration;
 use crate::code::Code;
-use crate::detect::Detector;
 use crate::document::Error;
-use crate::measure::Measurer;
+use crate::measure::{Measurer, Shared};
 use crate::vehicle::{TemplateError, VehicleFile};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -86,9 +85,9 @@ fn files(folder: &Path) -> Vec<(u16, PathBuf)> {
     found
 }
 
-/// Every job of `folder`, with the `detector` that all share. One that is broken is told as such, and the others are there.
-pub fn load_all(folder: &Path, calibration: &Calibration, detector: Option<&Arc<Detector>>) -> Jobs {
-    let one = |(number, file): &(u16, PathBuf)| load(*number, file, calibration, detector);
+/// Every job of `folder`, with what all of them share. One that is broken is told as such, and the others are there.
+pub fn load_all(folder: &Path, calibration: &Calibration, shared: &Shared) -> Jobs {
+    let one = |(number, file): &(u16, PathBuf)| load(*number, file, calibration, shared);
     let loaded: Vec<Entry> = files(folder).par_iter().map(one).collect();
     let mut jobs = Jobs::default();
     for (number, entry) in loaded {
@@ -103,16 +102,11 @@ pub fn load_all(folder: &Path, calibration: &Calibration, detector: Option<&Arc<
 }
 
 /// Job `number` from its file.
-pub fn load(number: u16, file: &Path, calibration: &Calibration, detector: Option<&Arc<Detector>>) -> Entry {
-    (number, ready(number, file, calibration, detector).map(Arc::new))
+pub fn load(number: u16, file: &Path, calibration: &Calibration, shared: &Shared) -> Entry {
+    (number, ready(number, file, calibration, shared).map(Arc::new))
 }
 
-fn ready(
-    number: u16,
-    file: &Path,
-    calibration: &Calibration,
-    detector: Option<&Arc<Detector>>,
-) -> Result<Job, Unusable> {
+fn ready(number: u16, file: &Path, calibration: &Calibration, shared: &Shared) -> Result<Job, Unusable> {
     let bad = |e: Error| Unusable { code: code(&e), said: told(&e) };
     let vehicle = VehicleFile::read(file).map_err(bad)?;
     if vehicle.job != number {
@@ -131,7 +125,7 @@ fn ready(
         name: vehicle.name.clone(),
         model_code: vehicle.model_code,
         fingerprint,
-        measurer: measurer.with_detector(detector.cloned()),
+        measurer: measurer.sharing(shared),
         vehicle,
         templates,
     })

@@ -143,14 +143,13 @@ impl PanelMask {
 
     /// Whether (u, v) mm lies on the panel; outside the grid it does not.
     pub fn contains(&self, uv: &Vector2<f64>) -> bool {
-        let (half, side) = (f64::from(self.half), 2 * self.half as usize + 1);
+        let (half, side) = (f64::from(self.half), self.side());
         // rounded by cutting off, as a call of `round` per pixel is what some processors have instead
         let (i, j) = (uv.x / self.cell_mm + half + 0.5, uv.y / self.cell_mm + half + 0.5);
         if !(0.0..side as f64).contains(&i) || !(0.0..side as f64).contains(&j) {
             return false;
         }
-        let k = j as usize * side + i as usize;
-        self.bits.get(k / 8).is_some_and(|b| b >> (k % 8) & 1 == 1)
+        self.bit(j as usize * side + i as usize)
     }
 
     /// How far from the origin the panel begins, mm: the median over all directions that meet it. 0 at a corner,
@@ -169,29 +168,57 @@ impl PanelMask {
 
     /// The mask with all that is within `mm` of it along u and v; less at the grid's border.
     pub fn grown(&self, mm: f64) -> Self {
-        let steps = (mm / self.cell_mm).ceil() as i32;
-        let along = |mask: &Self, axis: Vector2<f64>| {
-            Self::new(self.cell_mm, self.half, |c| {
-                (-steps..=steps).any(|k| mask.contains(&(c + axis * (f64::from(k) * self.cell_mm))))
-            })
+        let steps = (mm / self.cell_mm).ceil() as u32;
+        let along = |mask: &Self, v: bool| {
+            let away = mask.away(true, v);
+            mask.of_cells(|k| away[k] <= steps)
         };
-        along(&along(self, Vector2::x()), Vector2::y())
+        along(&along(self, false), true)
     }
 
     /// The mask less all that is within `mm` of what is not panel; the grid's border does not count.
     pub fn eroded(&self, mm: f64) -> Self {
-        let steps = (mm / self.cell_mm).ceil() as i32;
-        let half = f64::from(self.half);
-        Self::new(self.cell_mm, self.half, |c| {
-            self.contains(&c)
-                && (-steps..=steps).all(|j| {
-                    (-steps..=steps).all(|i| {
-                        let d = Vector2::new(f64::from(i), f64::from(j)) * self.cell_mm;
-                        let p = c + d;
-                        d.norm() > mm || (p / self.cell_mm).amax() > half + 0.5 || self.contains(&p)
-                    })
-                })
+        let (side, square) = (self.side(), (mm / self.cell_mm).powi(2));
+        let steps = (mm / self.cell_mm).ceil() as usize;
+        let away = self.away(false, false);
+        self.of_cells(|k| {
+            let (i, j) = (k % side, k / side);
+            let mut rows = j.saturating_sub(steps)..(j + steps + 1).min(side);
+            rows.all(|row| f64::from(away[row * side + i]).powi(2) + row.abs_diff(j).pow(2) as f64 > square)
         })
+    }
+
+    fn side(&self) -> usize {
+        2 * self.half as usize + 1
+    }
+
+    fn bit(&self, k: usize) -> bool {
+        self.bits.get(k / 8).is_some_and(|b| b >> (k % 8) & 1 == 1)
+    }
+
+    /// A mask of the same cells, of which each is as `is_panel` says by its number.
+    fn of_cells(&self, is_panel: impl Fn(usize) -> bool) -> Self {
+        let cells = self.side() * self.side();
+        let mut bits = vec![0; cells.div_ceil(8)];
+        (0..cells).filter(|k| is_panel(*k)).for_each(|k| bits[k / 8] |= 1 << (k % 8));
+        Self { bits, ..*self }
+    }
+
+    /// How many cells away, along u or along v, the nearest is that is `wanted`; more than the grid has where there is none.
+    fn away(&self, wanted: bool, along_v: bool) -> Vec<u32> {
+        let side = self.side();
+        let mut away = vec![2 * side as u32; side * side];
+        for line in 0..side {
+            let place = |n: usize| if along_v { n * side + line } else { line * side + n };
+            let mut pass = |n: usize, before: u32| {
+                let k = place(n);
+                away[k] = if self.bit(k) == wanted { 0 } else { away[k].min(before + 1) };
+                away[k]
+            };
+            (0..side).fold(2 * side as u32, |before, n| pass(n, before));
+            (0..side).rev().fold(2 * side as u32, |before, n| pass(n, before));
+        }
+        away
     }
 }
 
@@ -360,6 +387,26 @@ mod tests {
         let mut newer = bytes;
         newer[7] = 4;
         assert_eq!(Template::from_bytes(&newer), Err(TemplateError::Version { found: 4 }));
+    }
+
+    #[test]
+    fn masks_erode_and_grow_as_looking_at_every_cell_around_says() {
+        let mut noise = crate::testing::Noise::new(5);
+        let mut mask = PanelMask::new(0.5, 20, |_| true);
+        (0..41 * 41).filter(|_| noise.uniform() < 0.02).for_each(|k| mask.bits[k / 8] &= !(1 << (k % 8)));
+        let near = |c: &Vector2<f64>, reach: f64, square: bool, panel: bool| {
+            let cells =
+                (-20..=20).flat_map(|j| (-20..=20).map(move |i| Vector2::new(f64::from(i), f64::from(j)) * 0.5));
+            cells
+                .filter(|p| if square { (p - c).amax() <= reach } else { (p - c).norm() <= reach })
+                .any(|p| mask.contains(&p) == panel)
+        };
+        for mm in [0.5, 1.2, 3.0] {
+            assert_eq!(mask.eroded(mm), PanelMask::new(0.5, 20, |c| !near(&c, mm, false, false)), "{mm}");
+            let holes = PanelMask::new(0.5, 20, |c| !mask.contains(&c));
+            let grown = PanelMask::new(0.5, 20, |c| near(&c, (mm / 0.5).ceil() * 0.5, true, false));
+            assert_eq!(holes.grown(mm), grown, "{mm}");
+        }
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A station on simulated devices, driven turn by turn: no thread, no waiting.
 
+use datum::measure::Shared;
 use datum::plc::{Order, Outcome, Report, State, Status, Trigger};
 use datum::sim::{self, Body, Build, Deviation, Paint, Random, Script, Setup, Visit};
 use datum::station::{
@@ -116,7 +117,7 @@ impl Bench {
             hardware,
             clock: simulated.clock(),
             world: Some(world.map_or_else(still, |world| world(&simulated))),
-            jobs: load_all(jobs, &calibration, None),
+            jobs: load_all(jobs, &calibration, &Shared::default()),
             calibration,
             more_jobs: None,
             orders: taken,

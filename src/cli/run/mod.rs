@@ -8,6 +8,7 @@ mod view;
 
 use super::Status;
 use crate::Calibration;
+use crate::measure::Shared;
 use crate::plc::{self, Identity, ORDERS, Report, Server, State};
 use crate::records::Fault;
 use crate::station::{Hardware, Machine, Pace, Parts, Simulated, StationFile, Store, Traffic, TriggerKind, load_all};
@@ -73,8 +74,8 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         }
         Err(fault) => return Err(fault.into()),
     };
-    let detector = config.read_detector()?;
-    let more_jobs = models::models(&simulated, &config, &calibration, detector.clone(), &stop)?;
+    let shared = Shared { detector: config.read_detector()?, ..Shared::default() };
+    let more_jobs = models::models(&simulated, &config, &calibration, shared.clone(), &stop)?;
     let (order, orders) = mpsc::sync_channel(ORDERS);
     let (reported, reports) = mpsc::channel();
     let pulse = Arc::new(plc::Pulse::default());
@@ -83,7 +84,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     view.say(&format!("Modbus TCP on {}", server.local_addr()));
 
     let folder = config.beside(&config.jobs.folder);
-    let jobs = load_all(&folder, &calibration, detector.as_ref());
+    let jobs = load_all(&folder, &calibration, &shared);
     for broken in jobs.unusable() {
         tracing::warn!(code = broken.code.number(), "{}", broken.said);
     }

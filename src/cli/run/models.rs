@@ -2,7 +2,7 @@
 //! Not here: a real station's, which a person teaches.
 
 use crate::Calibration;
-use crate::detect::Detector;
+use crate::measure::Shared;
 use crate::station::{Entry, Simulated, StationFile, load, teach_missing, teach_one};
 use anyhow::Context;
 use std::path::PathBuf;
@@ -15,7 +15,7 @@ pub(super) fn models(
     simulated: &Simulated,
     config: &StationFile,
     calibration: &Calibration,
-    detector: Option<Arc<Detector>>,
+    shared: Shared,
     stop: &Arc<AtomicBool>,
 ) -> anyhow::Result<mpsc::Receiver<Entry>> {
     let (add, more) = mpsc::channel();
@@ -47,7 +47,7 @@ pub(super) fn models(
             }
             match teach(job) {
                 Ok(file) => {
-                    let _ = add.send(load(job, &file, &calibration, detector.as_ref())); // the station has ended
+                    let _ = add.send(load(job, &file, &calibration, &shared)); // the station has ended
                 }
                 Err(e) => eprintln!("job {job}: {e:#}"),
             }
