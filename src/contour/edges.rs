@@ -73,32 +73,47 @@ impl Kernels {
     }
 }
 
-/// The gradient over `window`, row by row, grey levels per px. Pixels beyond the image repeat its border.
-fn gradient(image: &Image<f32>, window: Window, kernels: &Kernels) -> Vec<Vector2<f32>> {
-    let radius = kernels.smooth.len() / 2;
-    let rows = window.height + 2 * radius;
-    let mut across = vec![Vector2::<f32>::zeros(); rows * window.width]; // x: derived, y: smoothed, along rows
-    let mut padded = vec![0.0; window.width + 2 * radius];
-    for (r, out) in across.chunks_exact_mut(window.width).enumerate() {
-        let row = image.row((window.y + r).saturating_sub(radius).min(image.height - 1));
-        for (i, v) in padded.iter_mut().enumerate() {
-            *v = row[(window.x + i).saturating_sub(radius).min(image.width - 1)];
-        }
-        for (x, out) in out.iter_mut().enumerate() {
-            let taps = padded[x..].iter().zip(kernels.derive.iter().zip(&kernels.smooth));
-            *out = taps.fold(Vector2::zeros(), |s, (v, (d, g))| s + Vector2::new(v * d, v * g));
-        }
-    }
-    let mut out = vec![Vector2::zeros(); window.height * window.width];
-    for (y, out) in out.chunks_exact_mut(window.width).enumerate() {
-        for (k, (d, g)) in kernels.derive.iter().zip(&kernels.smooth).enumerate() {
-            let row = &across[(y + k) * window.width..(y + k + 1) * window.width];
-            for (out, v) in out.iter_mut().zip(row) {
-                *out += Vector2::new(v.x * g, v.y * d);
+/// A gradient, row by row, grey levels per px: its parts along x and y.
+struct Gradient {
+    x: Vec<f32>,
+    y: Vec<f32>,
+}
+
+impl Gradient {
+    /// Over `window`. Pixels beyond the image repeat its border.
+    fn new(image: &Image<f32>, window: Window, kernels: &Kernels) -> Self {
+        let (width, radius) = (window.width, kernels.smooth.len() / 2);
+        let rows = window.height + 2 * radius;
+        let (mut derived, mut smoothed) = (vec![0f32; rows * width], vec![0f32; rows * width]); // along rows
+        let mut padded = vec![0.0; width + 2 * radius];
+        for (r, (d, s)) in derived.chunks_exact_mut(width).zip(smoothed.chunks_exact_mut(width)).enumerate() {
+            let row = image.row((window.y + r).saturating_sub(radius).min(image.height - 1));
+            for (i, v) in padded.iter_mut().enumerate() {
+                *v = row[(window.x + i).saturating_sub(radius).min(image.width - 1)];
+            }
+            for (k, (of_d, of_s)) in kernels.derive.iter().zip(&kernels.smooth).enumerate() {
+                add(d, &padded[k..], *of_d);
+                add(s, &padded[k..], *of_s);
             }
         }
+        let (mut x, mut y) = (vec![0f32; window.height * width], vec![0f32; window.height * width]);
+        for (r, (x, y)) in x.chunks_exact_mut(width).zip(y.chunks_exact_mut(width)).enumerate() {
+            for (k, (of_d, of_s)) in kernels.derive.iter().zip(&kernels.smooth).enumerate() {
+                add(x, &derived[(r + k) * width..], *of_s);
+                add(y, &smoothed[(r + k) * width..], *of_d);
+            }
+        }
+        Self { x, y }
     }
-    out
+
+    fn at(&self, i: usize) -> Vector2<f32> {
+        Vector2::new(self.x[i], self.y[i])
+    }
+}
+
+/// `sums` and `factor` times the values that begin `values`: side by side, as vector units like it.
+fn add(sums: &mut [f32], values: &[f32], factor: f32) {
+    sums.iter_mut().zip(values).for_each(|(sum, v)| *sum += v * factor);
 }
 
 /// The edgels inside `window`, row by row, not on its outermost pixels.
@@ -115,8 +130,8 @@ pub fn find_edges(
     assert!(window.x + window.width <= image.width && window.y + window.height <= image.height, "window in image");
     let kernels = Kernels::new(filter.sigma);
     let (of_gradient, of_difference) = kernels.noise();
-    let gradient = gradient(image, window, &kernels);
-    let strength: Vec<f32> = gradient.iter().map(|g| (g.x * g.x + g.y * g.y).sqrt()).collect();
+    let gradient = Gradient::new(image, window, &kernels);
+    let strength: Vec<f32> = gradient.x.iter().zip(&gradient.y).map(|(x, y)| (x * x + y * y).sqrt()).collect();
     let width = window.width;
     const NONE: u32 = u32::MAX;
     let mut found: Vec<(Edgel, bool)> = Vec::new(); // whether it is kept: an edge may begin here, or goes on
@@ -134,8 +149,8 @@ pub fn find_edges(
             if !exceeds(filter.keep) {
                 continue;
             }
-            let Some((step, curvature)) = peak(&strength, width, i, gradient[i]) else { continue };
-            let normal = gradient[i].map(f64::from).normalize();
+            let Some((step, curvature)) = peak(&strength, width, i, gradient.at(i)) else { continue };
+            let normal = gradient.at(i).map(f64::from).normalize();
             let edgel = Edgel {
                 position: Pixel::new((window.x + x) as f64, (window.y + y) as f64) + step,
                 normal,
@@ -190,7 +205,7 @@ const SLOPE_LEVELS: [f64; 2] = [0.1, 0.2];
 /// Variance of a smoothed value over a pixel's, had the profile not been averaged with its neighbours.
 const NOISE_GAIN: f64 = 0.55;
 /// Step along the profile, px.
-const STEP: f64 = 0.25;
+const STEP: f64 = 0.5;
 /// Smoothing along the profile, px.
 const SMOOTHING: f64 = 0.6;
 /// Profiles are the mean of five, so far apart along the edge, px.
@@ -239,16 +254,15 @@ impl Profile {
     /// Takes the smoothed profile across `e`; `None` where it leaves the image.
     fn take(&mut self, image: &Image<f32>, e: &Edgel) -> Option<()> {
         let tangent = Vector2::new(-e.normal.y, e.normal.x) * SPACING;
-        let (zero, tail) = (self.zero(), self.kernel.len() / 2);
+        let half = self.zero() + self.kernel.len() / 2;
+        let far = e.normal.abs() * (half as f64 * STEP) + tangent.abs() * 2.0;
+        let patch = Patch::about(image, &e.position, &far)?;
+        let (normal, tangent) = (e.normal.map(|v| (v * STEP) as f32), tangent.map(|v| v as f32));
         self.raw.clear();
-        for i in 0..=2 * (zero + tail) {
-            let at = e.position + e.normal * ((i as f64 - (zero + tail) as f64) * STEP);
-            let mut sum = 0.0;
-            for k in -2..=2 {
-                sum += cubic(image, &(at + tangent * f64::from(k)))?;
-            }
-            self.raw.push(sum / 5.0);
-        }
+        self.raw.extend((0..=2 * half).map(|i| {
+            let at = patch.middle + normal * (i as f32 - half as f32);
+            [-2.0, -1.0, 0.0, 1.0, 2.0].map(|k| patch.cubic(at + tangent * k)).iter().sum::<f32>() / 5.0
+        }));
         let smooth = |around: &[f32]| around.iter().zip(&self.kernel).map(|(v, k)| f64::from(v * k)).sum::<f64>();
         self.values.clear();
         self.values.extend(self.raw.windows(self.kernel.len()).map(smooth));
@@ -269,8 +283,8 @@ fn crossing(
     let place = |i: usize| (i as f64 - zero as f64) * STEP;
     // the mean about the darkest place: the least of many noisy values would be too dark
     let darkest = (0..=zero).min_by(|i, j| values[*i].total_cmp(&values[*j]))?;
-    let about = &values[darkest.saturating_sub(2)..=(darkest + 2).min(zero)];
-    let dark = about.iter().sum::<f64>() / about.len() as f64;
+    let beside = values[darkest.saturating_sub(1)] + values[(darkest + 1).min(zero)];
+    let dark = 0.5 * values[darkest] + 0.25 * beside;
     let bright = values[zero..].iter().copied().fold(0.0, f64::max).min(body);
     if bright <= dark {
         return None;
@@ -281,8 +295,9 @@ fn crossing(
     let mut cross = |share: f64| {
         let level = dark + share * (bright - dark);
         below = (0..=below.min(top - 1)).rev().find(|i| values[*i] < level)?;
-        let slope = (values[below + 1] - values[below]) / STEP;
-        Some((place(below) + (level - values[below]) / slope, slope, level))
+        let four = [below.saturating_sub(1), below, below + 1, (below + 2).min(n)].map(|i| values[i]);
+        let (part, slope) = reaches(&four, level);
+        Some((place(below) + part * STEP, slope / STEP, level))
     };
     let upper: Vec<f64> = SLOPE_LEVELS.iter().rev().map(|l| cross(LEVEL + l).map(|c| c.0)).collect::<Option<_>>()?;
     let (at, slope_here, level) = cross(LEVEL)?;
@@ -302,37 +317,65 @@ fn crossing(
     })
 }
 
-/// Catmull–Rom interpolation; `None` within two pixels of the border.
-fn cubic(image: &Image<f32>, p: &Pixel) -> Option<f32> {
-    let inside = |v: f64, n: usize| v >= 1.0 && v < n as f64; // a NaN is not
-    if !(inside(p.x, image.width) && inside(p.y, image.height)) {
-        return None;
-    }
-    let (column, row) = (p.x as usize, p.y as usize);
-    if column + 2 >= image.width || row + 2 >= image.height {
-        return None;
-    }
-    let weights = |t: f64| {
-        let t = t as f32;
-        let (t2, t3) = (t * t, t * t * t);
-        [
-            0.5 * (-t + 2.0 * t2 - t3),
-            0.5 * (2.0 - 5.0 * t2 + 3.0 * t3),
-            0.5 * (t + 4.0 * t2 - 3.0 * t3),
-            0.5 * (t3 - t2),
-        ]
-    };
-    let (across, down) = (weights(p.x - column as f64), weights(p.y - row as f64));
-    let first = (row - 1) * image.width + column - 1;
-    let around = &image.pixels[first..first + 3 * image.width + 4];
-    let mut columns = [0f32; 4];
-    for (j, w) in down.into_iter().enumerate() {
-        let row: &[f32; 4] = around[j * image.width..].first_chunk().expect("four rows of at least four");
-        for (sum, v) in columns.iter_mut().zip(row) {
-            *sum += w * v;
+/// Where between the second and the third of `four` values, a step apart, the Catmull–Rom curve through them reaches
+/// `level`, which lies between those two: in steps from the second. And its slope there, per step.
+fn reaches(four: &[f64; 4], level: f64) -> (f64, f64) {
+    let [before, low, high, after] = *four;
+    let linear = ((level - low) / (high - low), high - low);
+    let [b, c, d] = [
+        0.5 * (high - before),
+        before - 2.5 * low + 2.0 * high - 0.5 * after,
+        0.5 * (after - before) + 1.5 * (low - high),
+    ];
+    let slope = |t: f64| b + t * (2.0 * c + 3.0 * d * t);
+    let newton = |t: f64, _| t - (low + t * (b + t * (c + t * d)) - level) / slope(t);
+    let t = (0..3).fold(linear.0, newton);
+    if (0.0..=1.0).contains(&t) && slope(t) > 0.0 { (t, slope(t)) } else { linear }
+}
+
+/// Catmull–Rom's weights of four values, `t` of the way from the second to the third.
+fn weights(t: f32) -> [f32; 4] {
+    let (t2, t3) = (t * t, t * t * t);
+    [0.5 * (-t + 2.0 * t2 - t3), 0.5 * (2.0 - 5.0 * t2 + 3.0 * t3), 0.5 * (t + 4.0 * t2 - 3.0 * t3), 0.5 * (t3 - t2)]
+}
+
+/// A part of an image to interpolate in.
+struct Patch<'a> {
+    pixels: &'a [f32],
+    width: usize,
+    /// What it was made about, from the second column and row on, px.
+    middle: Vector2<f32>,
+}
+
+impl<'a> Patch<'a> {
+    /// The places within `far` px of `middle`; `None` where one of them is within two pixels of the image's border.
+    fn about(image: &'a Image<f32>, middle: &Pixel, far: &Vector2<f64>) -> Option<Self> {
+        let (low, high) = (middle - far, middle + far);
+        let inside = |low: f64, high: f64, n: usize| low >= 1.0 && high < n as f64 - 2.0; // a NaN is not
+        if !(inside(low.x, high.x, image.width) && inside(low.y, high.y, image.height)) {
+            return None;
         }
+        // one pixel of margin to each side: places are found again in single precision
+        let [column, row] = [low.x, low.y].map(|v| (v as usize).saturating_sub(2));
+        let middle = (middle - Vector2::new((column + 1) as f64, (row + 1) as f64)).map(|v| v as f32);
+        Some(Self { pixels: &image.pixels[row * image.width + column..], width: image.width, middle })
     }
-    Some(columns.iter().zip(across).map(|(v, w)| v * w).sum())
+
+    /// The value at `p`, px from the second column and row on.
+    fn cubic(&self, p: Vector2<f32>) -> f32 {
+        let (column, row) = (p.x as usize, p.y as usize);
+        let (across, down) = (weights(p.x - column as f32), weights(p.y - row as f32));
+        let first = row * self.width + column;
+        let around = &self.pixels[first..first + 3 * self.width + 4];
+        let mut columns = [0f32; 4];
+        for (j, w) in down.into_iter().enumerate() {
+            let row: &[f32; 4] = around[j * self.width..].first_chunk().expect("four rows of at least four");
+            for (sum, v) in columns.iter_mut().zip(row) {
+                *sum += w * v;
+            }
+        }
+        columns.iter().zip(across).map(|(v, w)| v * w).sum()
+    }
 }
 
 /// The normal distribution function and its density at `u`, to 1.5e-7.
@@ -394,14 +437,30 @@ mod tests {
             d if d < 2.0 => -0.5 * d * d * d + 2.5 * d * d - 4.0 * d + 2.0,
             _ => 0.0,
         };
+        let about = |x: f64, y: f64, far: f64| Patch::about(&image, &Pixel::new(x, y), &Vector2::repeat(far));
         for (x, y) in [(1.0, 1.0), (4.3, 2.8), (6.999, 5.5), (3.25, 5.999)] {
             let all =
                 (0..72).map(|i| f64::from(image.pixels[i]) * weight(x - (i % 9) as f64) * weight(y - (i / 9) as f64));
-            let got = cubic(&image, &Pixel::new(x, y)).expect("inside");
+            let patch = about(x, y, 0.0).expect("inside");
+            let got = patch.cubic(patch.middle);
             assert!((f64::from(got) - all.sum::<f64>()).abs() < 2e-4, "{x} {y}: {got}");
         }
         for (x, y) in [(0.99, 3.0), (3.0, 6.0), (7.0, 3.0), (f64::NAN, 3.0), (3.0, f64::INFINITY), (-1e300, 3.0)] {
-            assert_eq!(cubic(&image, &Pixel::new(x, y)), None, "{x} {y}");
+            assert!(about(x, y, 0.0).is_none(), "{x} {y}");
+        }
+        assert!(about(4.0, 3.0, 1.9).is_some() && about(4.0, 3.0, 2.1).is_none() && about(2.0, 3.0, 1.1).is_none());
+    }
+
+    #[test]
+    fn a_level_is_reached_where_the_curve_through_four_values_has_it() {
+        let curve = |x: f64| step(x).0;
+        for start in [-1.2, -0.6, -0.4, 0.3] {
+            let four = [-1.0, 0.0, 1.0, 2.0].map(|k| curve(start + 0.3 * k));
+            for part in [0.0, 0.2, 0.5, 0.9] {
+                let (at, slope) = reaches(&four, curve(start + 0.3 * part));
+                assert!((at - part).abs() < 0.003, "{start} {part}: {at}");
+                assert!((slope / (0.3 * step(start + 0.3 * part).1) - 1.0).abs() < 0.03, "{start} {part}: {slope}");
+            }
         }
     }
 

@@ -69,7 +69,8 @@ impl Lens {
             }
             let step = j.try_inverse()? * (target - d);
             n += step;
-            if step.amax() < 1e-12 {
+            // what is left after a step of Newton's is some tenths of its square
+            if step.amax() < 1e-7 {
                 return Some(n);
             }
         }
