@@ -104,8 +104,19 @@ fn monomials<const ORDER: usize, const TERMS: usize>(u: f64, v: f64) -> SVector<
     m
 }
 
-fn height<const ORDER: usize, const TERMS: usize>(p: &Polynomial, u: f64, v: f64) -> f64 {
-    p.coefficients.fixed_rows::<TERMS>(0).dot(&monomials::<ORDER, TERMS>(u, v))
+/// By Horner's scheme in u for each power of v, and in v.
+#[inline(always)]
+fn height<const ORDER: usize, const TERMS: usize>(c: &[f64], u: f64, v: f64) -> f64 {
+    let c = &c[..TERMS];
+    let mut sum = 0.0;
+    for i in (0..=ORDER).rev() {
+        let mut along = 0.0; // of uⁿ⁻ⁱ·vⁱ over all degrees n
+        for degree in (i..=ORDER).rev() {
+            along = along * u + c[degree * (degree + 1) / 2 + i];
+        }
+        sum = sum * v + along;
+    }
+    sum
 }
 
 fn variance<const ORDER: usize, const TERMS: usize>(p: &Polynomial, u: f64, v: f64) -> f64 {
@@ -158,7 +169,7 @@ impl Scaled {
         let to_own = self.scale / p.scale;
         self.points.iter().map(move |(uv, w, inverse_sigma)| {
             let uv = uv * to_own;
-            (w - of_order!(p.order, height(p, uv.x, uv.y))) * inverse_sigma
+            (w - of_order!(p.order, height(p.coefficients.as_slice(), uv.x, uv.y))) * inverse_sigma
         })
     }
 }
@@ -180,8 +191,9 @@ fn robust_start<const ORDER: usize, const TERMS: usize>(judges: &Scaled) -> Opti
     let point = |k: &usize| (points[*k].0, points[*k].1, points[*k].2.powi(2));
     let few = |picked: &[usize]| Some(solve::<ORDER, TERMS>(picked.iter().map(point))?.0);
     let loss = |c: &SVector<f64, TERMS>, most: f64| {
-        let residual =
-            |(uv, w, inverse_sigma): &ScaledCell| (w - c.dot(&monomials::<ORDER, TERMS>(uv.x, uv.y))) * inverse_sigma;
+        let residual = |(uv, w, inverse_sigma): &ScaledCell| {
+            (w - height::<ORDER, TERMS>(c.as_slice(), uv.x, uv.y)) * inverse_sigma
+        };
         truncated(points.iter().map(residual), most)
     };
     let coefficients = start(points.len(), few, loss)?;
@@ -213,7 +225,7 @@ impl Polynomial {
 
     /// Height at (u, v), mm.
     pub fn height(&self, uv: &Vector2<f64>) -> f64 {
-        of_order!(self.order, height(self, uv.x / self.scale, uv.y / self.scale))
+        of_order!(self.order, height(self.coefficients.as_slice(), uv.x / self.scale, uv.y / self.scale))
     }
 
     /// Slopes ∂w/∂u, ∂w/∂v at (u, v).
@@ -430,6 +442,19 @@ mod tests {
     fn monomials_are_in_the_order_of_their_degree() {
         assert_eq!(monomials::<2, 6>(2.0, 3.0).as_slice(), [1.0, 2.0, 3.0, 4.0, 6.0, 9.0]);
         assert_eq!(monomials::<4, 15>(2.0, 3.0).as_slice()[10..], [16.0, 24.0, 36.0, 54.0, 81.0]);
+    }
+
+    #[test]
+    fn the_height_is_the_sum_over_the_monomials() {
+        let mut noise = Noise::new(4);
+        let c = SVector::<f64, MAX_TERMS>::from_fn(|_, _| noise.gauss());
+        for (u, v) in [(0.3, -0.8), (1.7, 0.4)] {
+            for order in 0..=MAX_ORDER {
+                let sum = c.rows(0, terms(order)).dot(&monomials::<MAX_ORDER, MAX_TERMS>(u, v).rows(0, terms(order)));
+                let got = of_order!(order, height(c.as_slice(), u, v));
+                assert!((got - sum).abs() < 1e-12, "order {order}: {got} {sum}");
+            }
+        }
     }
 
     #[test]

@@ -8,9 +8,9 @@ use crate::capture::{Capture, Fringes, TYPICAL_GAIN, coordinates, coordinates_re
 use crate::fringe::{self, Axis, Coordinate, CoordinateMap, Depth, DepthMap, Limits, NoiseLaw, PhaseMap, Rays};
 use crate::geometry::{Surface, frame};
 
-/// Depth is looked at this densely on the body at the design's distance, mm, and no denser, however fine the camera. A
-/// patch's cells of 3 mm then hold 30 samples each, and there are a thousand of them: its noise stays below 1 µm.
-pub(super) const LATTICE_MM: f64 = 0.6;
+/// Depth is looked at about this densely on the body at the design's distance, mm, and no denser, however fine the camera.
+/// A patch's cells of 3 mm then hold a dozen samples each, and there are a thousand of them: its noise stays below 2 µm.
+pub(super) const LATTICE_MM: f64 = 0.75;
 
 /// The decoded fringes of a capture.
 pub(super) struct Decoded {

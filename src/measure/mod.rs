@@ -103,7 +103,7 @@ impl Measurer {
         let reach_mm = templates.iter().map(cycle::reach).collect();
         let mut depth_rig = calibration.rig.clone();
         let pixels_per_mm = depth_rig.camera.fx / TYPICAL_DISTANCE_MM;
-        let every = ((depth::LATTICE_MM * pixels_per_mm) as usize).max(1);
+        let every = ((depth::LATTICE_MM * pixels_per_mm).round() as usize).max(1);
         depth_rig.camera = depth_rig.camera.thinned(every);
         let surfaces =
             templates.iter().map(|t| t.surface.polynomial().expect("checked when it was read or made")).collect();
