@@ -54,12 +54,12 @@ pub enum Error {
         message: String,
     },
     /// A binary file whose content cannot be used.
-    #[error("{}: {source}", file.display())]
+    #[error("{}: {wrong}", file.display())]
     Content {
         /// The file.
         file: PathBuf,
-        /// What is wrong with it.
-        source: Box<dyn std::error::Error + Send + Sync>,
+        /// What is wrong with it: all that is said, so no source beside it.
+        wrong: Box<dyn std::error::Error + Send + Sync>,
     },
     /// A value that is not allowed.
     #[error("{}: {key} = {value}, allowed: {allowed}", file.display())]

@@ -5,13 +5,15 @@
 mod bench;
 
 use bench::{Bench, jobs};
-use datum::Code;
 use datum::hal::{Camera, Error, Exposure, Presence, Sensor};
 use datum::image::Image;
 use datum::measure::Shared;
 use datum::plc::{Order, OrderKind, Report, ResultCode, State, Trigger};
 use datum::sim::{Build, Cue, Deviation, Fault, Paint, Random, Script, When};
-use datum::station::{Hardware, Simulated, SimulationKeys, StationFile, Traffic, TriggerKind, World, load_all};
+use datum::station::{
+    Hardware, Simulated, SimulationKeys, StationFile, Traffic, TriggerKind, World, load_all, missing, outdated,
+};
+use datum::{Code, VehicleFile};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -122,6 +124,22 @@ fn copied(name: &str) -> PathBuf {
         }
     }
     folder
+}
+
+#[test]
+fn a_model_whose_templates_are_of_another_version_is_outdated_and_its_message_says_so_once() {
+    let folder = copied("outdated");
+    assert_eq!((outdated(&folder), missing(&folder)), (vec![], (2..=10).collect()));
+    let templates = std::fs::read_dir(&folder).expect("there").map(|entry| entry.expect("readable").path());
+    let template = templates.into_iter().find(|p| p.extension().is_some_and(|e| e == "datum")).expect("taught");
+    let mut bytes = std::fs::read(&template).expect("there");
+    bytes[7] -= 1;
+    std::fs::write(&template, bytes).expect("writable");
+    assert_eq!(outdated(&folder), [1]);
+    let vehicle = VehicleFile::read(&folder.join("001-suv-a.toml")).expect("as it was");
+    let e = anyhow::Error::new(vehicle.templates().expect_err("of another version"));
+    assert_eq!(format!("{e:#}").matches("teach again").count(), 1, "{e:#}");
+    std::fs::remove_dir_all(&folder).expect("just made");
 }
 
 #[test]

@@ -131,12 +131,17 @@ fn ready(number: u16, file: &Path, calibration: &Calibration, shared: &Shared) -
     })
 }
 
+/// Whether the model in `file`, or a template of it, was made by another version of datum.
+pub(super) fn is_of_other_version(file: &Path) -> bool {
+    VehicleFile::read(file).and_then(|vehicle| vehicle.templates()).is_err_and(|e| code(&e) == Code::OtherVersion)
+}
+
 /// What is of another version can be told from what is broken.
 fn code(e: &Error) -> Code {
     match e {
         Error::Value { key, .. } if key == "format" => Code::OtherVersion,
-        Error::Content { source, .. }
-            if matches!(source.downcast_ref::<TemplateError>(), Some(TemplateError::Version { .. })) =>
+        Error::Content { wrong, .. }
+            if matches!(wrong.downcast_ref::<TemplateError>(), Some(TemplateError::Version { .. })) =>
         {
             Code::OtherVersion
         }

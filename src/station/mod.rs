@@ -27,4 +27,4 @@ pub use counters::Durations;
 pub use hardware::Hardware;
 pub use jobs::{Entry, Job, Jobs, Unusable, load, load_all};
 pub use machine::{Finished, Machine, NoStore, Note, Pace, Parts, Store, WriteImages};
-pub use simulated::{Simulated, Traffic, World, deviation, teach_missing, teach_one};
+pub use simulated::{Simulated, Traffic, World, deviation, missing, outdated, teach_one};

@@ -3,6 +3,7 @@
 //! Not here: anything that a station with real devices would do otherwise.
 
 use super::hardware::Hardware;
+use super::jobs::is_of_other_version;
 use crate::calibrate::Calibration;
 use crate::capture::{Devices, Plan, record};
 use crate::geometry::{Pose, frame};
@@ -162,10 +163,15 @@ pub fn teach_one(setup: &Arc<Setup>, job: u16, folder: &Path) -> anyhow::Result<
 }
 
 /// The named models' numbers that `folder` has no file of.
-pub fn teach_missing(folder: &Path) -> Vec<u16> {
-    let numbered = |(k, name): (usize, &str)| {
-        let job = u16::try_from(k + 1).expect("ten");
-        (!file(folder, job, name).exists()).then_some(job)
-    };
-    sim::names().enumerate().filter_map(numbered).collect()
+pub fn missing(folder: &Path) -> Vec<u16> {
+    numbers(folder, |file| !file.exists())
+}
+
+/// Those of which it has one that another version of datum taught.
+pub fn outdated(folder: &Path) -> Vec<u16> {
+    numbers(folder, is_of_other_version)
+}
+
+fn numbers(folder: &Path, of: impl Fn(&Path) -> bool) -> Vec<u16> {
+    (1..).zip(sim::names()).filter(|(job, name)| of(&file(folder, *job, name))).map(|(job, _)| job).collect()
 }

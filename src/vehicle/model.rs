@@ -267,7 +267,7 @@ impl VehicleFile {
         let template = |(f, bytes): (&Feature, Vec<u8>)| {
             let file = self.file.with_file_name(f.template.as_deref().unwrap_or_default());
             let template = Template::from_bytes(&bytes)
-                .map_err(|source| Error::Content { file: file.clone(), source: source.into() })?;
+                .map_err(|wrong| Error::Content { file: file.clone(), wrong: wrong.into() })?;
             let (feature, depth) =
                 (template.feature == f.name, f.edge_depth_mm.is_none_or(|d| d == template.edge_depth_mm));
             let check = Check(&file);
