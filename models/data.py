@@ -29,7 +29,8 @@ class Letterbox:
     def __init__(self, size, room):
         self.size, self.room = size, room
         self.scale = min(room[0] / size[0], room[1] / size[1])
-        self.inner = tuple(max(1, min(r, round(s * self.scale))) for s, r in zip(size, room))
+        # halves go up, as they do in the appliance
+        self.inner = tuple(max(1, min(r, math.floor(s * self.scale + 0.5))) for s, r in zip(size, room))
         self.offset = tuple((r - i) // 2 for r, i in zip(room, self.inner))
         self.across, self.down = (averaging(s, i) for s, i in zip(size, self.inner))
 

@@ -54,7 +54,7 @@ impl Graph {
         let good = matches!(shape[0][..], [1, rows, cells] if rows == 4 + CLASSES && cells > 0);
         Check(file).that(good, "output", shown, allowed)?;
         let cells = shape[0][2];
-        let whole = Self { model: whole, input, head: Head::boxes(cells) };
+        let whole = Self { model: whole, input, head: Head::Boxes(cells) };
 
         let known = whole.try_out().map_err(|e| failed(file, e))?;
         let head = logits.as_ref().and_then(|_| Head::logits(cells, (input[2], input[1])));

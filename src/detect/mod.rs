@@ -14,7 +14,7 @@ use crate::image::Image;
 use graph::Graph;
 use letterbox::Letterbox;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
 /// The name of the network that comes with the program (models/CARD.md): what is used where nothing else is said.
 pub const DEFAULT: &str = "built-in";
@@ -34,8 +34,6 @@ pub struct Detector {
     file: PathBuf,
     graph: Graph,
     threshold: f32,
-    /// For the size of the last image.
-    letterbox: Mutex<Option<Arc<Letterbox>>>,
 }
 
 /// A box in an image.
@@ -95,7 +93,7 @@ impl Detector {
 
     fn from_bytes(bytes: &[u8], file: &Path) -> Result<Self, Error> {
         let graph = Graph::from_bytes(bytes, file)?;
-        Ok(Self { file: file.into(), graph, threshold: THRESHOLD as f32, letterbox: Mutex::default() })
+        Ok(Self { file: file.into(), graph, threshold: THRESHOLD as f32 })
     }
 
     /// The same with another threshold, 0 to 1.
@@ -114,7 +112,7 @@ impl Detector {
             return Ok(Vec::new());
         }
         let [_, height, width] = self.graph.input;
-        let letterbox = self.letterbox((image.width, image.height));
+        let letterbox = Letterbox::new((image.width, image.height), (width, height));
         let mut plane = vec![0.0; width * height];
         letterbox.fill(image, white, &mut plane);
         let failed = |e: String| DetectError::Run { file: self.file.clone(), source: e.into() };
@@ -133,13 +131,5 @@ impl Detector {
             Detection { class: f.class, score: f.score.into(), sides: [first.x, first.y, last.x, last.y] }
         };
         Ok(found.into_iter().map(in_image).collect())
-    }
-
-    /// That of the last image where sizes agree.
-    fn letterbox(&self, size: (usize, usize)) -> Arc<Letterbox> {
-        let [_, height, width] = self.graph.input;
-        let Ok(mut last) = self.letterbox.lock() else { return Arc::new(Letterbox::new(size, (width, height))) };
-        let fits = last.as_ref().filter(|l| l.image() == size).map(Arc::clone);
-        fits.unwrap_or_else(|| Arc::clone(last.insert(Arc::new(Letterbox::new(size, (width, height))))))
     }
 }
