@@ -15,7 +15,7 @@ import numpy as np
 
 from data import CLASSES, Set, shares
 
-THRESHOLD = 0.6
+THRESHOLD = 0.5
 """Score from which a region counts: where precision and recall together were best on `val`."""
 SAME = 0.5
 """IoU from which two boxes of a class are one region."""

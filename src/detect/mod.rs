@@ -24,7 +24,7 @@ pub const NONE: &str = "none";
 static BUILT_IN: &[u8] = include_bytes!("../../models/detector.onnx");
 
 /// Boxes that are less sure are none.
-pub const THRESHOLD: f64 = 0.6;
+pub const THRESHOLD: f64 = 0.5;
 
 /// Larger files are refused unread: one of three million parameters has 12 MB.
 const MAX_BYTES: u64 = 64 << 20;
