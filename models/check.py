@@ -38,7 +38,7 @@ def regions_turn_with_the_image():
         images[i, y : y + 16, x : x + 12] = 250
         regions[i, 0] = torch.tensor([0.0, x, y, x + 12, y + 16])
     inner = torch.tensor([0, 4, 128, 92]).expand(64, 4)
-    got, where = data.varied(images, inner, regions, random)
+    got, where = data.varied(images, inner, regions, torch.ones(64, 1), random)
     seen = 0
     for image, (kind, *box) in zip(got[:, 0], where[:, 0].tolist()):
         if kind < 0:
@@ -51,6 +51,28 @@ def regions_turn_with_the_image():
         assert (torch.stack([low, high]) - box).abs().max() < 4.5, (low, high, box)
         seen += 1
     assert seen > 40, seen
+
+
+def what_was_partly_hidden_counts_no_more_once_it_is_cut():
+    """A region that reaches a fifth of its width over the edge of the window: 0.8 of what could be seen of it is left."""
+    inner, window = torch.tensor([[0, 0, 100, 100]] * 3), torch.tensor([0.8] * 3)
+    regions = torch.tensor([[[1.0, 6, 40, 26, 60]]] * 3)
+    back, offset = torch.eye(2).expand(3, 2, 2) / 0.8, torch.tensor([[10.0, 10]] * 3)
+    got = data.turned(regions, torch.tensor([[1.0], [0.9], [0.8]]), back, offset, torch.zeros(3), window, inner)
+    assert got[:, 0, 0].tolist() == [1, 1, -1], got
+    assert torch.allclose(got[0, 0, 1:], torch.tensor([0, 37.5, 20, 62.5]))
+
+
+def sets_join():
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        for name, n in (("few", 2), ("more", 3)):
+            draw(folder / name, "train", n, 5)
+        (folder / "more" / "bodies.csv").write_text("image,needed,visible\n00000,,\n00001,0 2 3,0.9 1.000 0.75\n00002,0 2 3,1 1 1\n")
+        both = data.Set(folder / "few", "train", (160, 128))
+        both.add(data.Set(folder / "more", "train", (160, 128)))
+        assert len(both) == 5 and both.images.shape == (5, 128, 160) and both.regions.shape == (5, 3, 5)
+        assert torch.equal(both.visible[3], torch.tensor([0.9, 1, 0.75])) and both.visible[[1, 2, 4]].eq(1).all()
 
 
 def assignment_is_that_of_loops():
@@ -202,6 +224,8 @@ if __name__ == "__main__":
     for check in (
         a_letterbox_averages_areas,
         regions_turn_with_the_image,
+        what_was_partly_hidden_counts_no_more_once_it_is_cut,
+        sets_join,
         assignment_is_that_of_loops,
         a_distribution_is_two_bins,
         complete_iou_of_known_boxes,

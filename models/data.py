@@ -8,6 +8,7 @@ Out: `Set`: images (n, height, width) uint8 as the network gets them, and region
 steps of 10, Gaussian noise of sigma 10 to 30, crops by 5 to 20 %. No mirroring: classes have a side.
 """
 
+import csv
 import math
 import zlib
 from pathlib import Path
@@ -19,7 +20,7 @@ import torch.nn.functional as F
 CLASSES = ("point1", "point2", "point3", "point4")
 PAD = 114
 VISIBLE = 0.7
-"""A region counts while at least this part of it is in the image."""
+"""A region counts while at least this part of it can be seen: is in the image, and nothing before it."""
 
 
 class Letterbox:
@@ -28,7 +29,8 @@ class Letterbox:
     def __init__(self, size, room):
         self.size, self.room = size, room
         self.scale = min(room[0] / size[0], room[1] / size[1])
-        self.inner = tuple(max(1, min(r, round(s * self.scale))) for s, r in zip(size, room))
+        # halves go up, as they do in the appliance
+        self.inner = tuple(max(1, min(r, math.floor(s * self.scale + 0.5))) for s, r in zip(size, room))
         self.offset = tuple((r - i) // 2 for r, i in zip(room, self.inner))
         self.across, self.down = (averaging(s, i) for s, i in zip(size, self.inner))
 
@@ -78,6 +80,15 @@ def read_regions(path):
     return np.array(rows, np.float32).reshape(-1, 5)
 
 
+def shares(folder):
+    """{image: {class: share of it that can be seen}}, all classes that its vehicle has; {} without a bodies.csv."""
+    path = Path(folder) / "bodies.csv"
+    if not path.exists():
+        return {}
+    with open(path, newline="") as f:
+        return {r["image"]: dict(zip(map(int, r["needed"].split()), map(float, r["visible"].split()))) for r in csv.DictReader(f)}
+
+
 class Set:
     """One part of the data. `cache`: a folder for the letterboxed images, so that the next run starts at once."""
 
@@ -87,6 +98,7 @@ class Set:
             raise SystemExit(f"{folder}/{part}/images: no *.png there")
         self.names, self.room = [f.stem for f in files], room
         labels = [Path(folder) / part / "labels" / f"{f.stem}.txt" for f in files]
+        seen = shares(folder)
         # the cache belongs to these very files
         stamp = "".join(f"{f} {f.stat().st_mtime_ns}" for f in [*files, *(p for p in labels if p.exists())])
         kept = cache and Path(cache) / f"{part}-{room[0]}x{room[1]}-{zlib.crc32(stamp.encode()):08x}.npz"
@@ -99,6 +111,17 @@ class Set:
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 np.savez(kept, images=images, inner=inner, regions=regions)
         self.images, self.inner, self.regions = map(torch.from_numpy, (images, inner, regions))
+        share = [[seen.get(name, {}).get(int(k), 1.0) for k in of] for name, of in zip(self.names, regions[..., 0])]
+        self.visible = torch.tensor(share)
+
+    def add(self, other):
+        """Takes in the images of another set."""
+        most = max(self.regions.shape[1], other.regions.shape[1])
+        pad = lambda t, value: torch.cat([t, t.new_full((len(t), most - t.shape[1], *t.shape[2:]), value)], 1)
+        self.names = self.names + other.names
+        self.images, self.inner = torch.cat([self.images, other.images]), torch.cat([self.inner, other.inner])
+        self.regions = torch.cat([pad(self.regions, -1.0), pad(other.regions, -1.0)])
+        self.visible = torch.cat([pad(self.visible, 1.0), pad(other.visible, 1.0)])
 
     def __len__(self):
         return len(self.images)
@@ -125,8 +148,9 @@ def read(files, labels, room):
     return np.stack(images), np.array(inner, np.int64), regions
 
 
-def varied(images, inner, regions, random, turns=True):
-    """A batch as it might have been: `images` (n, h, w) uint8 to (n, 1, h, w) 0 to 1, regions with them.
+def varied(images, inner, regions, visible, random, turns=True):
+    """A batch as it might have been: `images` (n, h, w) uint8 to (n, 1, h, w) 0 to 1, regions with them: those of which
+    enough can still be seen.
 
     `turns`: rotate (half of the images) and crop (half); brightness (three quarters) and noise (a third) always.
     A crop is a window of 80 to 95 % of width and height, enlarged. Noise is that of a pixel of the full image: averaging
@@ -157,7 +181,7 @@ def varied(images, inner, regions, random, turns=True):
         still = (angle == 0) & (window == 1)
         grid = F.affine_grid(theta[~still], x[~still].shape, align_corners=False)
         x[~still] = F.grid_sample(x[~still], grid, "bilinear", "zeros", align_corners=False)
-        regions = turned(regions, torch.linalg.inv(spin), offset, angle, window, inner)
+        regions = turned(regions, visible, torch.linalg.inv(spin), offset, angle, window, inner)
     x = (x + PAD) * gain[:, None, None, None]
     x = x + torch.randn(x.shape, generator=random) * sigma[:, None, None, None]
     px, py = torch.arange(w), torch.arange(h)[:, None]
@@ -166,8 +190,9 @@ def varied(images, inner, regions, random, turns=True):
     return torch.where(within[:, None], x.clamp(0, 255), PAD) / 255, regions
 
 
-def turned(regions, back, offset, angle, window, inner):
-    """The regions' upright boxes after the images were turned: `p = back (source - offset)`."""
+def turned(regions, visible, back, offset, angle, window, inner):
+    """The regions' upright boxes after the images were turned: `p = back (source - offset)`. What was hidden of a region
+    is taken as spread evenly over it."""
     kind, corners = regions[..., :1], regions[..., 1:]
     middle = (corners[..., :2] + corners[..., 2:]) / 2 - offset[:, None]
     middle = (back[:, None] @ middle[..., None])[..., 0]
@@ -181,5 +206,5 @@ def turned(regions, back, offset, angle, window, inner):
     near, far = inner[:, None, :2].float(), inner[:, None, 2:].float()
     seen = torch.cat([torch.maximum(box[..., :2], near), torch.minimum(box[..., 2:], far)], -1)
     area = lambda b: (b[..., 2:] - b[..., :2]).clamp(min=0).prod(-1, keepdim=True)
-    keep = (kind >= 0) & (area(seen) >= VISIBLE * area(box))
+    keep = (kind >= 0) & (visible[..., None] * area(seen) >= VISIBLE * area(box))
     return torch.cat([torch.where(keep, kind, -1), seen], -1)

@@ -8,15 +8,14 @@ A found region is right if an unclaimed one of its class overlaps it with IoU >=
 """
 
 import argparse
-import csv
 import json
 from pathlib import Path
 
 import numpy as np
 
-from data import CLASSES, Set
+from data import CLASSES, Set, shares
 
-THRESHOLD = 0.6
+THRESHOLD = 0.5
 """Score from which a region counts: where precision and recall together were best on `val`."""
 SAME = 0.5
 """IoU from which two boxes of a class are one region."""
@@ -73,21 +72,22 @@ def average_precision(right, wanted):
 
 def report(outputs, wanted, threshold=THRESHOLD, bodies=None):
     """Figures over all images: `outputs` of the network, `wanted` (n, 5) class and corners for each.
-    `bodies`: the classes that each image's vehicle has, none without one; left away, those that are labelled.
-    A region that is there but hidden by more than the labels allow is counted as wrong when found, and also by itself."""
+    `bodies`: for each the classes that its vehicle has with the share of each that can be seen, none without a vehicle;
+    left away, those that are labelled. A region that is there but hidden by more than the labels allow is counted as
+    wrong when found, and also by itself."""
     rows, right, counts = [], [], np.zeros(len(CLASSES), int)
     complete = vehicles = empty = false_on_empty = images_false = 0
     highest = 0.0
-    hidden = 0
-    for output, truth, there in zip(outputs, wanted, bodies or [set(t[:, 0].astype(int)) for t in wanted]):
+    hidden = []
+    for output, truth, there in zip(outputs, wanted, bodies or [dict.fromkeys(t[:, 0].astype(int), 1.0) for t in wanted]):
         mine = found(output)
         ok = claims(mine, truth)
         rows.append(mine)
         right.append(ok)
         counts += np.bincount(truth[:, 0].astype(int), minlength=len(CLASSES))
         above = mine[:, 5] >= threshold
-        unlabelled = there - set(truth[:, 0].astype(int))
-        hidden += sum(int(row[0]) in unlabelled for row in mine[above])
+        unlabelled = there.keys() - set(truth[:, 0].astype(int))
+        hidden += [there[int(row[0])] for row in mine[above] if int(row[0]) in unlabelled]
         if len(truth):
             vehicles += 1
             complete += int(ok[above, 0].sum() == len(truth))
@@ -119,22 +119,12 @@ def report(outputs, wanted, threshold=THRESHOLD, bodies=None):
     return {
         "threshold": threshold, "images": len(wanted), "regions": int(counts.sum()),
         "precision": hits / max(1, int(above.sum())), "recall": hits / max(1, int(counts.sum())),
-        "wrong": int(above.sum()) - hits, "wrong_hidden": hidden,
+        "wrong": int(above.sum()) - hits, "wrong_hidden": sorted(hidden),
         "map50": float(ap[:, 0].mean()) if len(ap) else None, "map50_95": float(ap.mean()) if len(ap) else None,
         "vehicles": vehicles, "complete": complete / max(1, vehicles),
         "without": empty, "false_on_without": false_on_empty, "images_with_false": images_false,
         "highest_on_without": float(highest), "classes": per_class,
     }
-
-
-def bodies(data, folder):
-    """The classes that each image's vehicle has, seen or not, by `datum dataset`'s bodies.csv; the labelled without one."""
-    path = Path(folder) / "bodies.csv"
-    if not path.exists():
-        return [set(t[:, 0].astype(int)) for t in truths(data)]
-    with open(path, newline="") as f:
-        needed = {row["image"]: set(map(int, row["needed"].split())) for row in csv.DictReader(f)}
-    return [needed[name] for name in data.names]
 
 
 def truths(data):
@@ -167,7 +157,8 @@ def main():
             x = np.repeat(data.batch([i])[0].numpy(), channels, 1)
             outputs.append(net.run(None, {inp.name: x})[0][0])
         wanted += truths(data)
-        there += bodies(data, a.data)
+        seen = shares(a.data)
+        there += [seen[name] if seen else dict.fromkeys(t[:, 0].astype(int), 1.0) for name, t in zip(data.names, truths(data))]
     for threshold in a.threshold:
         figures = report(outputs, wanted, threshold, there)
         show(figures)
@@ -180,7 +171,10 @@ def show(r):
     print(f"threshold {r['threshold']:.2f}: {r['images']} images, {r['regions']} regions", end="")
     if r["regions"]:
         print(f": precision {r['precision']:.4f} recall {r['recall']:.4f} mAP@0.5 {r['map50']:.4f} "
-              f"mAP@0.5:0.95 {r['map50_95']:.4f}; wrong {r['wrong']}, of them there but hidden {r['wrong_hidden']}", end="")
+              f"mAP@0.5:0.95 {r['map50_95']:.4f}; wrong {r['wrong']}, there but hidden {len(r['wrong_hidden'])}", end="")
+        if r["wrong_hidden"]:
+            share = r["wrong_hidden"]
+            print(f", to be seen of them {share[0]:.2f} to {share[-1]:.2f}, median {share[len(share) // 2]:.2f}", end="")
     print()
     print(f"  every region of the vehicle: {r['complete']:.4f} of {r['vehicles']} vehicles; without a vehicle: "
           f"{r['false_on_without']} regions in {r['images_with_false']} of {r['without']} images, "

@@ -25,13 +25,14 @@ MEMORY = 1000
 """Steps over which the averaged weights remember."""
 WARM = 300
 """Steps in which the learning rate rises; a tenth of all where those are few."""
-FIXED = ("size", "width", "height", "batch", "rate", "seed", "plain", "start")
+FIXED = ("more", "size", "width", "height", "batch", "rate", "seed", "plain", "start")
 """What a run that goes on must have in common with the one that was cut."""
 
 
 def arguments():
     p = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     p.add_argument("--data", required=True)
+    p.add_argument("--more", nargs="+", default=[], help="folders of which the training parts are learned as well")
     p.add_argument("--out", required=True)
     p.add_argument("--size", default="pico", choices=SIZES)
     p.add_argument("--width", type=int, default=320)
@@ -108,6 +109,8 @@ def train(a):
     room = (a.width, a.height)
     parts = {part: Set(a.data, part, room, out / "cache") for part in ("train", "val")}
     data = parts["train"]
+    for folder in a.more:
+        data.add(Set(folder, "train", room, out / "cache"))
     if len(data) < a.batch:
         raise SystemExit(f"{a.data}/train: {len(data)} images, fewer than one batch of {a.batch}")
     network = Network(a.size, len(CLASSES))
@@ -129,8 +132,8 @@ def train(a):
     if (out / "last.pt").exists():
         last = torch.load(out / "last.pt", weights_only=True, map_location=device)
         for k, v in fixed.items():
-            if last["fixed"][k] != v:
-                raise SystemExit(f"{out}/last.pt: was trained with --{k} {last['fixed'][k]}, asked for {v}")
+            if last["fixed"].get(k) != v:
+                raise SystemExit(f"{out}/last.pt: was trained with --{k} {last['fixed'].get(k)}, asked for {v}")
         network.load_state_dict(last["network"])
         mean.load_state_dict(last["mean"])
         optimizer.load_state_dict(last["optimizer"])
@@ -151,7 +154,9 @@ def train(a):
         sums = torch.zeros(3, dtype=torch.float64)
         for k in range(each):
             index, step = order[k * a.batch : (k + 1) * a.batch], epoch * each + k
-            x, regions = varied(data.images[index], data.inner[index], data.regions[index], random, turns)
+            x, regions = varied(
+                data.images[index], data.inner[index], data.regions[index], data.visible[index], random, turns
+            )
             x = x.to(device).contiguous(memory_format=torch.channels_last)
             with torch.autocast(device, torch.bfloat16, enabled=half):
                 logits = network(x)

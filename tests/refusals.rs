@@ -7,6 +7,9 @@
 
 #![expect(clippy::cast_possible_wrap, reason = "images are far smaller than i64")]
 
+mod common;
+
+use common::detector;
 use datum::geometry::rotation_from_rows;
 use datum::image::read_png;
 use datum::measure::{Measurement, Measurer, Verdict, teach};
@@ -108,6 +111,7 @@ impl Shot {
 
     fn measure(&self, setup: &Setup) -> Measurement {
         let measurer = Measurer::new(setup.calibration.clone(), setup.model.clone()).expect("a good model");
+        let measurer = measurer.with_detector(detector());
         let mut cycle = measurer.begin(&self.capture, &self.red, self.ambient.as_ref());
         for (k, set) in self.fringes.iter().enumerate() {
             for (step, image) in (0u32..).zip(set) {

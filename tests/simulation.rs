@@ -11,7 +11,7 @@
 
 mod common;
 
-use common::{CameraFromVehicle, Set, data, over_sigma, pose, rms};
+use common::{CameraFromVehicle, Set, data, detector, over_sigma, pose, rms};
 use datum::capture::{Devices, Plan, RecordError, SETS, record};
 use datum::fringe::Axis;
 use datum::hal::{Camera, Clock, Error, LightBars, Pool, Presence, Projector};
@@ -323,7 +323,8 @@ fn taught(setup: &Arc<Setup>, body: &Body, paint: Paint, seed: u64, name: &str) 
     }
     let file = folder(name).join("model.toml");
     taught.model.write(&file).expect("writable");
-    Ok(Measurer::new(calibration, datum::VehicleFile::read(&file).expect("just written")).expect("templates"))
+    let model = datum::VehicleFile::read(&file).expect("just written");
+    Ok(Measurer::new(calibration, model).expect("templates").with_detector(detector()))
 }
 
 fn measured(measurer: &Measurer, capture: &Capture) -> Measurement {

@@ -2,7 +2,8 @@
 
 use super::{Status, print};
 use crate::capture::Capture;
-use crate::dataset::{Captured, Folder, Row, Split, captured, view};
+use crate::dataset::{Captured, Folder, Labelled, Row, Split, captured, view};
+use crate::detect::{self, Detector};
 use crate::document::Check;
 use crate::measure::Measurer;
 use crate::sim::Setup;
@@ -29,6 +30,9 @@ pub(super) struct Arguments {
     /// Share of images without a vehicle
     #[arg(long, value_name = "SHARE", default_value_t = 0.1, conflicts_with = "from")]
     empty: f64,
+    /// Share of hard images: features hidden by about half, halls with outlines like a flap's
+    #[arg(long, value_name = "SHARE", default_value_t = 0.0, conflicts_with = "from")]
+    hard: f64,
     /// Labels these captures, as far as they are measured ok, instead of drawing images
     #[arg(long, value_name = "CAPTURE", num_args = 1.., requires_all = ["calibration", "vehicle"])]
     from: Vec<PathBuf>,
@@ -49,6 +53,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     let check = Check(Path::new("datum dataset"));
     check.within("--count", a.count, 1..=MAX_IMAGES)?;
     check.within("--empty", a.empty, 0.0..=1.0)?;
+    check.within("--hard", a.hard, 0.0..=1.0)?;
     let scale = scale(&a.size, check)?;
     let folder = Folder::create(&a.out)?;
     let rows = if let (Some(calibration), Some(vehicle)) = (&a.calibration, &a.vehicle) {
@@ -68,16 +73,16 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
 fn drawn(a: &Arguments, folder: &Folder, scale: f64) -> anyhow::Result<Vec<Row>> {
     let done = AtomicUsize::new(0);
     let one = |setup: &mut Setup, number: usize| -> anyhow::Result<Row> {
-        let view = view(setup, a.seed, number as u64, a.empty);
+        let view = view(setup, a.seed, number as u64, a.empty, a.hard);
         let (name, split) = (format!("{number:05}"), Split::of(number as u64));
         folder.add(split, &name, &view.image, &view.boxes).with_context(|| format!("image {name}"))?;
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
         if done.is_multiple_of(100) || done == a.count {
             eprintln!("{done} of {}", a.count);
         }
-        let (body, needed) = view.body.map_or((String::new(), Vec::new()), |(seed, c)| (seed.to_string(), c));
+        let body = view.body.map_or_else(String::new, |seed| seed.to_string());
         let paint = view.paint.unwrap_or_default().into();
-        Ok(Row { image: name, split, body, paint, needed, kind: view.kind.name().into() })
+        Ok(Row { image: name, split, body, paint, features: shares(&view.boxes), kind: view.kind.name().into() })
     };
     (0..a.count).into_par_iter().map_init(|| Setup::new(scale, 8).red_only(), one).collect()
 }
@@ -90,6 +95,7 @@ fn from_captures(
     vehicle: &VehicleFile,
     width: usize,
 ) -> anyhow::Result<Vec<Row>> {
+    let detector = Detector::named(Path::new(detect::DEFAULT))?;
     let mut measurer: Option<([(usize, usize); 2], Measurer)> = None;
     let mut rows = Vec::new();
     for (number, path) in a.from.iter().enumerate() {
@@ -99,7 +105,7 @@ fn from_captures(
         if measurer.as_ref().is_none_or(|(of, _)| *of != sizes) {
             let fitting = calibration.for_sizes(sizes[0], sizes[1], false);
             let fitting = fitting.with_context(|| capture.file().display().to_string())?;
-            measurer = Some((sizes, Measurer::new(fitting, vehicle.clone())?));
+            measurer = Some((sizes, Measurer::new(fitting, vehicle.clone())?.with_detector(detector.clone())));
         }
         let Some((_, measurer)) = &measurer else { continue };
         match captured(measurer, &capture, width)? {
@@ -109,12 +115,17 @@ fn from_captures(
                     capture.conditions.vin.clone().filter(|vin| !vin.is_empty()).unwrap_or_else(|| capture.name());
                 let (name, split) = (format!("{number:05}"), Split::of_name(&body));
                 folder.add(split, &name, &image, &boxes)?;
-                let needed = vehicle.features.iter().map(|f| f.class.index()).collect();
-                rows.push(Row { image: name, split, body, paint: String::new(), needed, kind: "capture".into() });
+                let (paint, kind) = (String::new(), "capture".into());
+                rows.push(Row { image: name, split, body, paint, features: shares(&boxes), kind });
             }
         }
     }
     Ok(rows)
+}
+
+/// Of each box, its class and how much of it can be seen.
+fn shares(boxes: &[Labelled]) -> Vec<(usize, f64)> {
+    boxes.iter().map(|b| (b.class, b.visible)).collect()
 }
 
 /// Of the camera's image, from a size like 648x486.

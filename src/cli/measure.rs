@@ -24,8 +24,8 @@ pub(super) struct Arguments {
     /// How the pose is measured
     #[arg(long, value_enum, default_value_t)]
     method: Method,
-    /// The detector's ONNX network; none: features are searched for by their templates alone
-    #[arg(long, value_name = "FILE|none", default_value = detect::DEFAULT)]
+    /// The detector's network; none: features are searched for by their templates alone
+    #[arg(long, value_name = "FILE.onnx|none", default_value = detect::DEFAULT)]
     detector: PathBuf,
     /// Writes a picture of each result into this folder
     #[arg(long, value_name = "DIR")]

@@ -1,6 +1,7 @@
 //! `datum records`: what became of vehicles: listed, exported, measured again.
 
 use super::{Status, print};
+use crate::detect::{self, Detector};
 use crate::document;
 use crate::records::{
     CAPTURES, Event, Filter, Record, Verdict, With, capture_name, csv, json, json_lines, parse_time, replay,
@@ -88,6 +89,9 @@ struct Replay {
     /// Another vehicle model than the one kept with each capture
     #[arg(long, value_name = "FILE")]
     vehicle: Option<PathBuf>,
+    /// The detector's network; none: features are searched for by their templates alone
+    #[arg(long, value_name = "FILE.onnx|none", default_value = detect::DEFAULT)]
+    detector: PathBuf,
     /// Uses the calibration for captures that are binned by a common factor
     #[arg(long)]
     scale_calibration: bool,
@@ -185,6 +189,7 @@ fn replay_all(a: &Replay) -> anyhow::Result<Status> {
     let with = With {
         calibration: a.calibration.as_deref().map(Calibration::read).transpose()?,
         vehicle: a.vehicle.as_deref().map(VehicleFile::read).transpose()?,
+        detector: Detector::named(&a.detector)?,
         scale_calibration: a.scale_calibration,
     };
     let records = chosen(&a.chosen)?;

@@ -1,6 +1,6 @@
 //! What a detector is to find of a feature: the box about an outline on the panel.
-//! In:  the outline, how the panel is seen, what is hidden. Out: the box in the image, or none where too little of it can be
-//! seen. Not here: where features are, and what their outlines.
+//! In:  the outline, how the panel is seen, what is hidden. Out: the box in the image, and how much of it can be seen.
+//! Not here: where features are, and what their outlines.
 
 use crate::optics::Pixel;
 use crate::vehicle::Class;
@@ -13,11 +13,18 @@ pub const VISIBLE: f64 = 0.7;
 pub struct Labelled {
     /// Its class, from 0: point1 to point4.
     pub class: usize,
+    /// Share of it that can be seen.
+    pub visible: f64,
     /// Its sides.
     pub sides: [f64; 4],
 }
 
 impl Labelled {
+    /// Whether enough of it can be seen for a detector to find it.
+    pub fn counts(&self) -> bool {
+        self.visible >= VISIBLE
+    }
+
     /// YOLO's line: class, then centre and size as shares of the image's.
     pub fn line(&self, (width, height): (usize, usize)) -> String {
         let [left, top, right, bottom] = self.sides;
@@ -27,8 +34,8 @@ impl Labelled {
     }
 }
 
-/// The upright box about `outline` as `seen` in an image, clipped to it; none where less than [`VISIBLE`] of it is in the
-/// image and not `hidden`.
+/// The upright box about `outline` as `seen` in an image, clipped to it; none where some of it lies behind the camera.
+/// Of it `visible` is in the image and not `hidden`.
 pub fn boxed(
     class: Class,
     outline: &[[f64; 2]],
@@ -50,16 +57,18 @@ pub fn boxed(
             visible += usize::from(at.is_some_and(|at| inside(&at) && !hidden(&at)));
         }
     }
-    if (visible as f64) < VISIBLE * (RINGS * outline.len()) as f64 {
-        return None;
-    }
+    let visible = visible as f64 / (RINGS * outline.len()) as f64;
     let mut sides = [f64::INFINITY, f64::INFINITY, f64::NEG_INFINITY, f64::NEG_INFINITY];
     for p in outline {
         let p = seen(*p)?;
         sides = [sides[0].min(p.x), sides[1].min(p.y), sides[2].max(p.x), sides[3].max(p.y)];
     }
     let [left, top, r, b] = sides;
-    Some(Labelled { class: class.index(), sides: [left.max(-0.5), top.max(-0.5), r.min(right), b.min(bottom)] })
+    Some(Labelled {
+        class: class.index(),
+        visible,
+        sides: [left.max(-0.5), top.max(-0.5), r.min(right), b.min(bottom)],
+    })
 }
 
 #[cfg(test)]
@@ -86,11 +95,18 @@ mod tests {
     }
 
     #[test]
-    fn what_is_mostly_hidden_or_out_of_view_is_not_labelled_and_boxes_end_at_the_border() {
-        let in_view = at(35.0, 50.0, Class::Point1, |_| false).expect("nine tenths");
+    fn what_is_mostly_hidden_or_out_of_view_does_not_count_and_boxes_end_at_the_border() {
+        let in_view = at(35.0, 50.0, Class::Point1, |_| false).expect("before the camera");
         assert_eq!(in_view.sides, [-0.5, 5.0, 80.0, 95.0]);
-        assert!(at(10.0, 50.0, Class::Point1, |_| false).is_none(), "six tenths");
-        assert!(at(100.0, 50.0, Class::Point4, |p| p.x < 70.0).is_some(), "a quarter hidden");
-        assert!(at(100.0, 50.0, Class::Point4, |p| p.x < 85.0).is_none(), "three eighths hidden");
+        let share = |known: f64, b: Option<Labelled>| {
+            let b = b.expect("before the camera");
+            assert!((b.visible - known).abs() < 0.05, "{} for {known}", b.visible);
+            b.counts()
+        };
+        assert!(share(0.9, Some(in_view)));
+        assert!(!share(0.6, at(8.5, 50.0, Class::Point1, |_| false)));
+        assert!(share(0.75, at(100.0, 50.0, Class::Point4, |p| p.x < 70.0)));
+        assert!(!share(0.625, at(100.0, 50.0, Class::Point4, |p| p.x < 85.0)));
+        assert!(!share(0.0, at(-300.0, 50.0, Class::Point4, |_| false)));
     }
 }

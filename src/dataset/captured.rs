@@ -20,7 +20,7 @@ pub enum Captured {
     Labelled {
         /// The red image, `width` wide.
         image: Image<u8>,
-        /// All features that are in view.
+        /// One per feature, also those out of view.
         boxes: Vec<Labelled>,
     },
     /// Nothing, for this reason.

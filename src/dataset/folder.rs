@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 pub struct Folder(PathBuf);
 
 /// A line of bodies.csv.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Row {
     /// The image's name, without `.png`.
     pub image: String,
@@ -23,8 +23,8 @@ pub struct Row {
     pub body: String,
     /// Paint; empty where unknown.
     pub paint: String,
-    /// Classes that the body has, seen or not.
-    pub needed: Vec<usize>,
+    /// Classes that the body has, and what share of each can be seen.
+    pub features: Vec<(usize, f64)>,
     /// What it shows.
     pub kind: String,
 }
@@ -52,11 +52,11 @@ impl Folder {
         Ok(Self(path.into()))
     }
 
-    /// Writes an image with its labels.
+    /// Writes an image with those boxes that count.
     pub fn add(&self, split: Split, name: &str, image: &Image<u8>, boxes: &[Labelled]) -> Result<(), WriteError> {
         let folder = self.0.join(split.name());
         write_png(&folder.join("images").join(format!("{name}.png")), image)?;
-        let lines: String = boxes.iter().map(|b| b.line((image.width, image.height))).collect();
+        let lines: String = boxes.iter().filter(|b| b.counts()).map(|b| b.line((image.width, image.height))).collect();
         Ok(write(folder.join("labels").join(format!("{name}.txt")), &lines)?)
     }
 
@@ -68,11 +68,12 @@ impl Folder {
         }
         yaml.push_str("names:\n  0: point1\n  1: point2\n  2: point3\n  3: point4\n");
         write(self.0.join("dataset.yaml"), &yaml)?;
-        let mut csv = String::from("image,split,body,paint,needed,kind\n");
+        let mut csv = String::from("image,split,body,paint,needed,visible,kind\n");
         for r in rows {
-            let needed: Vec<String> = r.needed.iter().map(ToString::to_string).collect();
-            let (split, needed) = (r.split.name(), needed.join(" "));
-            let _ = writeln!(csv, "{},{split},{},{},{needed},{}", r.image, r.body, r.paint, r.kind);
+            let joined = |of: &dyn Fn(&(usize, f64)) -> String| r.features.iter().map(of).collect::<Vec<_>>().join(" ");
+            let (needed, visible) = (joined(&|f| f.0.to_string()), joined(&|f| format!("{:.3}", f.1)));
+            let _ =
+                writeln!(csv, "{},{},{},{},{needed},{visible},{}", r.image, r.split.name(), r.body, r.paint, r.kind);
         }
         write(self.0.join("bodies.csv"), &csv)
     }

@@ -3,6 +3,7 @@
 //! Not here: light; they are as bright as they are drawn.
 
 use crate::image::Image;
+use crate::optics::Pixel;
 use crate::sim::Random;
 
 /// A flat thing: a rectangle with rounded corners, turned and sheared.
@@ -67,6 +68,36 @@ impl Thing {
         thing
     }
 
+    /// Something in the way of a part of a box: no smaller than half of it, and about its border.
+    pub(super) fn before(random: &mut Random, size: (usize, usize), [left, top, right, bottom]: [f64; 4]) -> Self {
+        let mut thing = Self::in_the_way(random, size);
+        let half = [0.5 * (right - left), 0.5 * (bottom - top)];
+        let larger = half[0].max(half[1]);
+        thing.half = [random.between(0.3, 3.0) * larger, random.between(0.3, 1.5) * larger];
+        thing.round = random.uniform() * thing.half[1].min(thing.half[0]);
+        let beside = 1.5 * larger;
+        thing.centre = [left + half[0], top + half[1]].map(|v| v + random.between(-beside, beside));
+        thing
+    }
+
+    /// A closed narrow line like that about a flap, most on a plate hardly larger: no panel of a body is about it.
+    pub(super) fn like_a_flap(random: &mut Random, size: (usize, usize)) -> Vec<Self> {
+        let w = size.0 as f64;
+        let mut line = Self::any(random, size);
+        line.half = [0, 1].map(|_| random.between(0.03, 0.1) * w);
+        line.round = random.between(0.1, 1.0) * line.half[0].min(line.half[1]);
+        line.turn = if random.uniform() < 0.7 { random.between(-0.3, 0.3) } else { line.turn };
+        (line.hollow, line.fill) = (Some(random.between(0.003, 0.02) * w), Fill::Plain);
+        if random.uniform() < 0.4 {
+            return vec![line];
+        }
+        let mut plate = line.clone();
+        plate.half = line.half.map(|h| h * random.between(1.05, 2.0));
+        (plate.hollow, plate.level) = (None, random.between(40.0, 230.0));
+        line.level = plate.level * random.between(0.05, 0.7);
+        vec![plate, line]
+    }
+
     /// A part of a hall. Nothing like a flap's narrow gap or an arch's wide one: those would be labelled wrongly.
     pub(super) fn any(random: &mut Random, (width, height): (usize, usize)) -> Self {
         let (w, h) = (width as f64, height as f64);
@@ -116,7 +147,6 @@ impl Thing {
 
     /// Paints it; `covered` becomes true where it hides what was there.
     pub(super) fn paint(&self, image: &mut Image<u8>, covered: &mut Image<bool>, random: &mut Random) {
-        let (sin, cos) = self.turn.sin_cos();
         let reach = (1.0 + self.shear.abs()) * self.half[0].hypot(self.half[1]) + 2.0;
         let range = |i: usize, n: usize| {
             let clip = |v: f64| v.clamp(0.0, n as f64) as usize;
@@ -126,8 +156,7 @@ impl Thing {
         for y in range(1, image.height) {
             for x in columns.clone() {
                 let d = [x as f64 - self.centre[0], y as f64 - self.centre[1]];
-                let q = [cos * d[0] + sin * d[1], cos * d[1] - sin * d[0]];
-                let q = [q[0] + self.shear * q[1], q[1]];
+                let q = self.local(d);
                 let mut out = self.distance(q);
                 if let Some(wide) = self.hollow {
                     out = (out + 0.5 * wide).abs() - 0.5 * wide;
@@ -146,7 +175,19 @@ impl Thing {
         }
     }
 
-    /// Signed distance to its outline, px.
+    /// Whether it covers most of the pixel there.
+    pub(super) fn hides(&self, p: &Pixel) -> bool {
+        self.distance(self.local([p.x - self.centre[0], p.y - self.centre[1]])) < 0.0
+    }
+
+    /// A place, from its centre in the image, on it.
+    fn local(&self, d: [f64; 2]) -> [f64; 2] {
+        let (sin, cos) = self.turn.sin_cos();
+        let q = [cos * d[0] + sin * d[1], cos * d[1] - sin * d[0]];
+        [q[0] + self.shear * q[1], q[1]]
+    }
+
+    /// Signed distance to its outline, px; inside of it also where it is hollow.
     fn distance(&self, q: [f64; 2]) -> f64 {
         let d = [0, 1].map(|i| q[i].abs() - self.half[i] + self.round);
         d[0].max(0.0).hypot(d[1].max(0.0)) + d[0].max(d[1]).min(0.0) - self.round

@@ -35,10 +35,6 @@ pub(super) enum Head {
 }
 
 impl Head {
-    pub(super) fn boxes(cells: usize) -> Self {
-        Self::Boxes(cells)
-    }
-
     /// Of an input of that width and height with so many cells; none where strides, each twice the last, do not give them.
     pub(super) fn logits(cells: usize, (width, height): (usize, usize)) -> Option<Self> {
         let count = |strides: &[usize]| strides.iter().map(|s| (width / s) * (height / s)).sum::<usize>();
@@ -199,7 +195,7 @@ mod tests {
         assert!(found[0].sides.iter().zip(known).all(|(a, b)| (a - b).abs() < 1e-4), "{found:?}");
         assert_eq!(head.decode(&raw, 0.2).len(), 2, "the next one has a score of 0.27");
         // decoded as a whole it is what the usual head would give
-        let whole = Head::boxes(n).decode(&head.decode_all(&raw).expect("its length"), 0.5);
+        let whole = Head::Boxes(n).decode(&head.decode_all(&raw).expect("its length"), 0.5);
         assert_eq!((whole.len(), whole[0].class), (1, 2));
         assert!(whole[0].sides.iter().zip(known).all(|(a, b)| (a - b).abs() < 1e-3), "{whole:?}");
         assert!(head.decode_all(&raw[1..]).is_none());

@@ -7,15 +7,13 @@
 //! cut off is what it seems is not read off the graph but tried: both must give the same on one input.
 
 use super::decode::{CLASSES, Head};
-use crate::document::{self, Check, Error};
+use crate::document::{Check, Error};
 use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 use tract_onnx::pb::{GraphProto, ModelProto, NodeProto, ValueInfoProto, tensor_shape_proto::dimension, type_proto};
 use tract_onnx::prelude::*;
 
-/// Larger files are refused unread: one of three million parameters has 12 MB.
-const MAX_BYTES: u64 = 64 << 20;
 /// Sides of inputs are multiples of this, and no longer than that.
 const STRIDE: usize = 32;
 const MAX_SIDE: usize = 2592;
@@ -32,13 +30,7 @@ pub(super) struct Graph {
 }
 
 impl Graph {
-    /// Reads `file`. Errors name it, what is wrong and what is allowed.
-    pub(super) fn read(file: &Path) -> Result<Self, Error> {
-        let bytes = document::read_bytes(file, MAX_BYTES)?;
-        Self::from_bytes(&bytes, file)
-    }
-
-    /// As [`Self::read`], of bytes; `file` is for errors.
+    /// From what is in `file`. Errors name it, what is wrong and what is allowed.
     pub(super) fn from_bytes(bytes: &[u8], file: &Path) -> Result<Self, Error> {
         // tract's reader indexes by names that a file may lack
         let read = std::panic::catch_unwind(|| Self::build(bytes, file));
@@ -62,7 +54,7 @@ impl Graph {
         let good = matches!(shape[0][..], [1, rows, cells] if rows == 4 + CLASSES && cells > 0);
         Check(file).that(good, "output", shown, allowed)?;
         let cells = shape[0][2];
-        let whole = Self { model: whole, input, head: Head::boxes(cells) };
+        let whole = Self { model: whole, input, head: Head::Boxes(cells) };
 
         let known = whole.try_out().map_err(|e| failed(file, e))?;
         let head = logits.as_ref().and_then(|_| Head::logits(cells, (input[2], input[1])));
@@ -91,9 +83,7 @@ impl Graph {
     /// Runs on a plane of 0..=1, which all channels get. The outputs, one after the other.
     pub(super) fn run(&self, plane: &[f32]) -> TractResult<Vec<f32>> {
         let [channels, height, width] = self.input;
-        let mut values = Vec::with_capacity(channels * plane.len());
-        (0..channels).for_each(|_| values.extend_from_slice(plane));
-        let input = Tensor::from_shape(&[1, channels, height, width], &values)?;
+        let input = Tensor::from_shape(&[1, channels, height, width], &plane.repeat(channels))?;
         let outputs = self.model.run(tvec!(input.into()))?;
         let mut all = Vec::new();
         for output in &outputs {

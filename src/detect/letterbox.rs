@@ -33,11 +33,6 @@ impl Letterbox {
         Self { image, input, inner, at, columns }
     }
 
-    /// The size of images that it is for.
-    pub(crate) fn image(&self) -> (usize, usize) {
-        self.image
-    }
-
     /// Writes the input's plane: `white` becomes 1, and so does what is brighter. Panics if sizes differ from those it was
     /// made for.
     pub(crate) fn fill(&self, image: &Image<u16>, white: f64, plane: &mut [f32]) {

@@ -9,26 +9,31 @@ mod graph;
 mod letterbox;
 mod suppress;
 
-use crate::document::Error;
+use crate::document::{self, Error};
 use crate::image::Image;
 use graph::Graph;
 use letterbox::Letterbox;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 
-/// What is used where nothing else is said: a file, or `none`. Once a network comes with the program, this is the place.
-pub const DEFAULT: &str = "none";
+/// The name of the network that comes with the program (models/CARD.md): what is used where nothing else is said.
+pub const DEFAULT: &str = "built-in";
+/// The name of no detector.
+pub const NONE: &str = "none";
+
+static BUILT_IN: &[u8] = include_bytes!("../../models/detector.onnx");
 
 /// Boxes that are less sure are none.
-pub const THRESHOLD: f64 = 0.6;
+pub const THRESHOLD: f64 = 0.5;
+
+/// Larger files are refused unread: one of three million parameters has 12 MB.
+const MAX_BYTES: u64 = 64 << 20;
 
 /// A detector, ready for images.
 pub struct Detector {
     file: PathBuf,
     graph: Graph,
     threshold: f32,
-    /// For the size of the last image.
-    letterbox: Mutex<Option<Arc<Letterbox>>>,
 }
 
 /// A box in an image.
@@ -71,18 +76,24 @@ pub fn reduced(image: &Image<u16>, white: f64, width: usize) -> Image<u8> {
 }
 
 impl Detector {
-    /// The detector that `which` names: a file, or `none`.
+    /// The detector that `which` names: [`DEFAULT`], [`NONE`] or a file. Takes some 0.2 s: all jobs can share it.
     pub fn named(which: &Path) -> Result<Option<Arc<Self>>, Error> {
-        if which == Path::new("none") {
-            return Ok(None);
-        }
-        Ok(Some(Arc::new(Self::read(which)?)))
+        let detector = match which.to_str() {
+            Some(NONE) => return Ok(None),
+            Some(DEFAULT) => Self::from_bytes(BUILT_IN, which)?,
+            _ => Self::read(which)?,
+        };
+        Ok(Some(Arc::new(detector)))
     }
 
     /// Reads a network; errors name the file, what is wrong with it and what is allowed.
     pub fn read(file: &Path) -> Result<Self, Error> {
-        let graph = Graph::read(file)?;
-        Ok(Self { file: file.into(), graph, threshold: THRESHOLD as f32, letterbox: Mutex::default() })
+        Self::from_bytes(&document::read_bytes(file, MAX_BYTES)?, file)
+    }
+
+    fn from_bytes(bytes: &[u8], file: &Path) -> Result<Self, Error> {
+        let graph = Graph::from_bytes(bytes, file)?;
+        Ok(Self { file: file.into(), graph, threshold: THRESHOLD as f32 })
     }
 
     /// The same with another threshold, 0 to 1.
@@ -101,7 +112,7 @@ impl Detector {
             return Ok(Vec::new());
         }
         let [_, height, width] = self.graph.input;
-        let letterbox = self.letterbox((image.width, image.height));
+        let letterbox = Letterbox::new((image.width, image.height), (width, height));
         let mut plane = vec![0.0; width * height];
         letterbox.fill(image, white, &mut plane);
         let failed = |e: String| DetectError::Run { file: self.file.clone(), source: e.into() };
@@ -120,13 +131,5 @@ impl Detector {
             Detection { class: f.class, score: f.score.into(), sides: [first.x, first.y, last.x, last.y] }
         };
         Ok(found.into_iter().map(in_image).collect())
-    }
-
-    /// That of the last image where sizes agree.
-    fn letterbox(&self, size: (usize, usize)) -> Arc<Letterbox> {
-        let [_, height, width] = self.graph.input;
-        let Ok(mut last) = self.letterbox.lock() else { return Arc::new(Letterbox::new(size, (width, height))) };
-        let fits = last.as_ref().filter(|l| l.image() == size).map(Arc::clone);
-        fits.unwrap_or_else(|| Arc::clone(last.insert(Arc::new(Letterbox::new(size, (width, height))))))
     }
 }

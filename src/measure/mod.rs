@@ -124,6 +124,11 @@ impl Measurer {
         }
     }
 
+    /// The same with a detector that proposes the regions, or without one; it shares nothing with others.
+    pub fn with_detector(self, detector: Option<Arc<Detector>>) -> Self {
+        self.sharing(&Shared { detector, ..Shared::default() })
+    }
+
     /// The same, with what it shares with others.
     pub fn sharing(self, shared: &Shared) -> Self {
         Self { shared: shared.clone(), ..self }

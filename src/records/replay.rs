@@ -1,23 +1,28 @@
 //! Kept captures measured again with the present program. In: a record and its capture. Out: both measurements, and by
-//! how much they differ. Calibration and vehicle model are those kept with the capture, or others that are given.
+//! how much they differ. Calibration and vehicle model are those kept with the capture, or others that are given; the
+//! detector is given.
 
 use super::report::{numbers, parsed, shown};
 use super::{CAPTURES, Event, Record, Reference, capture_name};
 use crate::calibrate::Calibration;
 use crate::capture::Capture;
+use crate::detect::Detector;
 use crate::measure::{Measurement, Measurer, measure};
 use crate::vehicle::VehicleFile;
 use serde_json::{Value, json};
 use std::fmt::Write;
 use std::path::Path;
+use std::sync::Arc;
 
-/// What is measured by, where it is not what was kept with the capture.
-#[derive(Clone, Debug, Default)]
+/// What is measured by; calibration and model where they are not those kept with the capture.
+#[derive(Clone, Default)]
 pub struct With {
     /// The calibration.
     pub calibration: Option<Calibration>,
     /// The vehicle model.
     pub vehicle: Option<VehicleFile>,
+    /// What proposes the regions; none: they are searched for.
+    pub detector: Option<Arc<Detector>>,
     /// Uses the calibration for captures that are binned by a common factor.
     pub scale_calibration: bool,
 }
@@ -72,7 +77,8 @@ pub fn replay(folder: &Path, record: &Record, with: &With) -> anyhow::Result<Opt
     let model = with.vehicle.clone().map_or_else(|| Reference::vehicle(&folder), Ok)?;
     let (c, p) = (&capture.camera, &capture.projector);
     let calibration = calibration.for_sizes((c.width, c.height), (p.width, p.height), with.scale_calibration)?;
-    let (now, _drawing) = measure(&Measurer::new(calibration, model)?, &capture, &mut |_| {})?;
+    let measurer = Measurer::new(calibration, model)?.with_detector(with.detector.clone());
+    let (now, _drawing) = measure(&measurer, &capture, &mut |_| {})?;
     let (vin, software, before) = (vehicle.vin.clone(), record.software.clone(), parsed(vehicle));
     Ok(Some(Replayed { record: record.id, vin, software, before, now }))
 }

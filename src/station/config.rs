@@ -23,7 +23,7 @@ pub struct StationFile {
     /// calibration.toml; none: the simulated station's own.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub calibration: Option<PathBuf>,
-    /// The detector's network, or "none".
+    /// The detector's network, "built-in" or "none".
     pub detector: PathBuf,
     /// The camera.
     pub camera: CameraKeys,
@@ -327,7 +327,7 @@ keys! {
     "" "format": "the format of this file", "1";
     "" "serial": "what the station is called: the serial number that the PLC reads", "1 to 16 printable characters";
     "" "calibration": "calibration.toml, beside this file; left out: the simulated station's own", "a path";
-    "" "detector": "the network that proposes where features are, beside this file; \"none\": they are searched for", "a path, \"none\"";
+    "" "detector": "the network that proposes where features are, beside this file; left out: the one that comes with the program; \"none\": they are searched for", "a path, \"built-in\", \"none\"";
     "camera" "kind": "how the camera is reached", "\"simulated\", \"v4l2\", \"libcamera\"";
     "camera" "longest_ms": "no exposure is longer; gain makes up for it, so that all images are taken in time", "1 to 100";
     "projector" "kind": "how the projector is reached", "\"simulated\", \"v4l2-output\", \"sequenced\"";
@@ -378,8 +378,8 @@ impl StationFile {
 
     /// The detector that the file names, ready to use.
     pub fn read_detector(&self) -> Result<Option<Arc<Detector>>, Error> {
-        let none = self.detector == Path::new("none");
-        Detector::named(&if none { self.detector.clone() } else { self.beside(&self.detector) })
+        let named = [detect::DEFAULT, detect::NONE].iter().any(|name| self.detector == Path::new(name));
+        Detector::named(&if named { self.detector.clone() } else { self.beside(&self.detector) })
     }
 
     /// The artefact's board, if there is one.

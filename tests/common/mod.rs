@@ -2,11 +2,13 @@
 
 #![allow(dead_code, reason = "each test file uses a part")]
 
+use datum::detect::{DEFAULT, Detector};
 use datum::measure::{Drawing, Measurement, Measurer, Taught, measure, teach};
 use datum::{Calibration, Capture, Point3, Pose, VehicleFile, frame};
 use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, LazyLock};
 
 pub(crate) type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
 
@@ -25,6 +27,15 @@ pub(crate) fn data(name: &str) -> Option<PathBuf> {
         eprintln!("skipped: DATUM_DATA not set");
     }
     folder
+}
+
+/// The detector that DATUM_DETECTOR names, else the one that comes with the program.
+pub(crate) fn detector() -> Option<Arc<Detector>> {
+    static NAMED: LazyLock<Option<Arc<Detector>>> = LazyLock::new(|| {
+        let name = std::env::var_os("DATUM_DETECTOR").unwrap_or_else(|| DEFAULT.into());
+        Detector::named(Path::new(&name)).expect("a detector")
+    });
+    NAMED.clone()
 }
 
 /// A set of captures that share a calibration.
@@ -58,7 +69,8 @@ impl Set {
         }
         let file = folder.join("taught.toml");
         taught.model.write(&file).expect("writable");
-        Measurer::new(self.calibration.clone(), VehicleFile::read(&file).expect("what was written")).expect("templates")
+        let model = VehicleFile::read(&file).expect("what was written");
+        Measurer::new(self.calibration.clone(), model).expect("templates").with_detector(detector())
     }
 
     pub(crate) fn measure(&self, measurer: &Measurer, name: &str) -> (Measurement, Drawing) {
