@@ -10,6 +10,7 @@
 
 use crate::pins;
 use crate::v4l2::{Node, Side, control};
+use datum::capture::{SETS, pictures};
 use datum::hal::Sensor;
 use datum::image::Image;
 use datum::sim::{Layers, Lit, Picture, Random, Scene, Setup, Take, expose};
@@ -19,17 +20,22 @@ use std::io;
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Images on either cable, per second.
 const PROJECTOR_FPS: u64 = 60;
 const CAMERA_FPS: u64 = 100;
+/// At least so long from one image to the next.
+const BETWEEN: Duration = Duration::from_millis(14);
 /// Where the body is lit the projector is about as far away as the camera, mm.
 const FAR: f64 = datum::sim::DISTANCE_MM;
 /// Different pictures that are kept ready.
 const PICTURES: usize = 32;
 /// What each image showed is kept for so many.
 const LOG: usize = 4096;
+/// While nothing changes so many images are rendered, each with noise of its own; then they come again, in turn: rendering
+/// is dear in the guest, and a station that waits or computes does not look.
+const DIFFERENT: usize = 3;
 /// Grey levels up to this are black, if the whole picture has them: vivid's own black has 16.
 const BLACK: u8 = 16;
 
@@ -86,7 +92,10 @@ impl Player {
         let shared = Arc::new(Mutex::new(shared));
         let mut playing = Playing::new(setup, &shared, seed)?;
         pins::pull(pins::PRESENCE, false)?;
-        let thread = std::thread::Builder::new().name("player".into()).spawn(move || playing.play())?;
+        let thread = std::thread::Builder::new().name("player".into()).spawn(move || {
+            // told at once: what waits for images would wait in vain
+            playing.play().inspect_err(|e| eprintln!("the scene player ended: {e}"))
+        })?;
         Ok(Self { setup: Arc::clone(setup), shared, thread: Some(thread) })
     }
 
@@ -163,6 +172,31 @@ struct Playing {
     camera: Camera,
     pictures: VecDeque<(Vec<u8>, u64, Option<Picture>)>,
     image: Image<u16>,
+    /// What the images in `rendered` show, and how many times one was given.
+    view: Option<View>,
+    rendered: Vec<Vec<u8>>,
+    given: usize,
+    queued: Instant,
+}
+
+/// All that an image depends on, but for noise.
+#[derive(Clone, PartialEq)]
+struct View {
+    picture: Option<u64>,
+    bars: [f64; 2],
+    time: Duration,
+    gain: f64,
+    /// Where the scene's light lies in memory: kept, so that no other one lies there.
+    layers: Kept,
+}
+
+#[derive(Clone)]
+struct Kept(Arc<Layers>);
+
+impl PartialEq for Kept {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.0, &other.0)
+    }
 }
 
 /// Both ends of the camera's cable: the one that datum opens is read for its controls.
@@ -226,9 +260,25 @@ impl Playing {
         projected.start(2)?;
         let camera = Camera::open(&setup.sensor)?;
         let image = Image::filled(setup.sensor.width, setup.sensor.height, 0);
-        let (setup, shared) = (Arc::clone(setup), Arc::clone(shared));
-        let random = Random::new(seed, &[0x706c_6179]);
-        Ok(Self { setup, shared, seed, random, projected, camera, pictures: VecDeque::new(), image })
+        let mut new = Self {
+            setup: Arc::clone(setup),
+            shared: Arc::clone(shared),
+            seed,
+            random: Random::new(seed, &[0x706c_6179]),
+            projected,
+            camera,
+            pictures: VecDeque::new(),
+            image,
+            view: None,
+            rendered: Vec::new(),
+            given: 0,
+            queued: Instant::now(),
+        };
+        // what a station shows, so that no image waits for it
+        for picture in pictures(&SETS, lens.width, lens.height).map_err(io::Error::other)? {
+            new.know(picture.pixels);
+        }
+        Ok(new)
     }
 
     fn play(&mut self) -> io::Result<()> {
@@ -244,7 +294,7 @@ impl Playing {
             if let Some(away) = unplugged {
                 self.unplug(away)?;
             }
-            if self.expose(&layers, number, broken)? {
+            if self.expose(layers, number, broken)? {
                 continue;
             }
             lock(&self.shared).images -= 1;
@@ -252,46 +302,55 @@ impl Playing {
     }
 
     /// One image; false: there was nothing to see in a second.
-    fn expose(&mut self, layers: &Layers, number: u64, broken: f64) -> io::Result<bool> {
+    fn expose(&mut self, layers: Arc<Layers>, number: u64, broken: f64) -> io::Result<bool> {
         // all that was shown while the last image was rendered is past
         while let Some(given) = self.projected.dequeue()? {
             self.projected.queue(given.index, Duration::ZERO)?;
         }
         let Some(given) = self.projected.next(Duration::from_secs(1))? else { return Ok(false) };
-        let stamp = given.stamp;
         let bars = pins::bars()?;
         let time = Duration::from_micros(100) * self.camera.node.control(control::EXPOSURE)?.unsigned_abs();
         let gain = f64::from(self.camera.node.control(control::GAIN)?) / 16.0;
         let at = self.shown(given.index);
         self.projected.queue(given.index, Duration::ZERO)?;
-        let (_, picture, light) = &self.pictures[at];
-        let lit = Lit { bars, ambient: 1.0, picture: light.as_ref() };
-        let take = Take { exposure: time, gain, seed: self.seed, number };
-        expose(&self.setup, layers, &lit, None, &take, &mut self.image);
-        let picture = light.as_ref().map(|_| *picture);
-
-        let index = self.camera.free()?;
-        let bytes = self.camera.exposed.bytes(index);
-        let image = if self.setup.sensor.bits == 8 {
-            bytes.iter_mut().zip(&self.image.pixels).for_each(|(b, v)| *b = *v as u8);
-            digest(&bytes[..self.image.pixels.len()])
-        } else {
-            for (b, v) in bytes.chunks_exact_mut(2).zip(&self.image.pixels) {
-                b.copy_from_slice(&v.to_le_bytes());
+        let picture = self.pictures[at].2.as_ref().map(|_| self.pictures[at].1);
+        let view = View { picture, bars, time, gain, layers: Kept(layers) };
+        if self.view.as_ref() != Some(&view) {
+            self.view = Some(view.clone());
+            self.rendered.clear();
+            self.given = 0;
+        }
+        if self.rendered.len() < DIFFERENT {
+            let bytes = self.render(&view, at, number);
+            let mut shared = lock(&self.shared);
+            if shared.log.len() == LOG {
+                shared.log.pop_front();
             }
-            digest(&bytes[..2 * self.image.pixels.len()])
-        };
+            shared.log.push_back(Showed { image: digest(&bytes), picture, bars });
+            drop(shared);
+            self.rendered.push(bytes);
+        }
+        let bytes = &self.rendered[self.given % self.rendered.len()];
+        self.given += 1;
+        let index = self.camera.free()?;
+        self.camera.exposed.bytes(index)[..bytes.len()].copy_from_slice(bytes);
         if broken > 0.0 && self.random.uniform() < broken {
             self.camera.exposed.set_control(control::BROKEN, 1)?;
         }
-        let mut shared = lock(&self.shared);
-        if shared.log.len() == LOG {
-            shared.log.pop_front();
-        }
-        shared.log.push_back(Showed { image, picture, bars });
-        drop(shared);
-        self.camera.exposed.queue(index, stamp)?;
+        // the camera's node looks once in 10 ms, and takes the newest image only
+        std::thread::sleep(BETWEEN.saturating_sub(self.queued.elapsed()));
+        self.camera.exposed.queue(index, given.stamp)?;
+        self.queued = Instant::now();
         Ok(true)
+    }
+
+    /// An image as the camera's node takes it.
+    fn render(&mut self, view: &View, picture: usize, number: u64) -> Vec<u8> {
+        let lit = Lit { bars: view.bars, ambient: 1.0, picture: self.pictures[picture].2.as_ref() };
+        let take = Take { exposure: view.time, gain: view.gain, seed: self.seed, number };
+        expose(&self.setup, &view.layers.0, &lit, None, &take, &mut self.image);
+        let samples = self.image.pixels.iter();
+        if self.setup.sensor.bits == 8 { samples.map(|v| *v as u8).collect() } else { samples.flat_map(|v| v.to_le_bytes()).collect() }
     }
 
     /// The place in `pictures` of what that buffer shows.
@@ -301,10 +360,16 @@ impl Playing {
         if let Some(at) = self.pictures.iter().position(|(known, ..)| known == bytes) {
             return at;
         }
+        let bytes = bytes.to_vec();
+        self.know(bytes);
+        self.pictures.len() - 1
+    }
+
+    /// Keeps a picture ready, as the last one.
+    fn know(&mut self, bytes: Vec<u8>) {
         if self.pictures.len() == PICTURES {
             self.pictures.pop_front();
         }
-        let bytes = bytes.to_vec();
         let dark = bytes.iter().all(|v| *v <= BLACK);
         let light = (!dark).then(|| {
             let lens = &self.setup.rig.projector;
@@ -313,26 +378,23 @@ impl Playing {
         });
         let id = digest(&bytes);
         self.pictures.push_back((bytes, id, light));
-        self.pictures.len() - 1
     }
 
     /// Takes the camera away, for `away` and until nobody has it open any more.
     fn unplug(&mut self, away: Duration) -> io::Result<()> {
         self.camera.exposed.set_control(control::DISCONNECT, 1)?;
         std::thread::sleep(away);
-        // the nodes come back when the last one of us closes them, and a driver may be slower than we are
-        self.camera.exposed = Node::open(Path::new("/dev/null"), Side::Output)?;
-        self.camera.node = Node::open(Path::new("/dev/null"), Side::Capture)?;
-        loop {
+        // the nodes come back when the last one who has them open closes them, and a driver may be slower than we are
+        let nowhere = Path::new("/dev/null");
+        self.camera.exposed = Node::open(nowhere, Side::Output)?;
+        self.camera.node = Node::open(nowhere, Side::Capture)?;
+        self.camera = loop {
             match Camera::open(&self.setup.sensor) {
-                Ok(camera) => self.camera = camera,
-                Err(_) => {
-                    std::thread::sleep(Duration::from_millis(20));
-                    continue;
-                }
+                Ok(camera) => break camera,
+                Err(_) => std::thread::sleep(Duration::from_millis(20)),
             }
-            lock(&self.shared).returned += 1;
-            return Ok(());
-        }
+        };
+        lock(&self.shared).returned += 1;
+        Ok(())
     }
 }

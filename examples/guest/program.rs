@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 
 const PROGRAM: &str = "./datum";
 
-/// The station's configuration in the guest. What the drivers need is here; all else is as datum has it.
+/// The station's configuration in the guest. What the drivers need is here; all else is as datum has it, but for time: the
+/// player gives some ten images a second, and what is waited for an image grows with the longest exposure.
 const CONFIG: &str = r#"format = 1
 serial = "GUEST"
 calibration = "calibration.toml"
@@ -20,6 +21,7 @@ device = "/dev/datum/camera"
 width = 648
 height = 486
 format = "GREY"
+longest_ms = 100
 [projector]
 kind = "v4l2-output"
 device = "/dev/datum/projector"

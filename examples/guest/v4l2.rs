@@ -57,7 +57,6 @@ pub(crate) enum Side {
 pub(crate) struct Given {
     pub(crate) index: u32,
     pub(crate) stamp: Duration,
-    pub(crate) sequence: u32,
     /// Marked as broken.
     pub(crate) broken: bool,
 }
@@ -200,7 +199,7 @@ impl Node {
         }
         let stamp = Duration::new(b.timestamp.tv_sec as u64, b.timestamp.tv_usec as u32 * 1000);
         let broken = b.flags & sys::V4L2_BUF_FLAG_ERROR != 0;
-        Ok(Some(Given { index: b.index, stamp, sequence: b.sequence, broken }))
+        Ok(Some(Given { index: b.index, stamp, broken }))
     }
 
     /// As [`Self::dequeue`], for so long; `None`: nothing came.

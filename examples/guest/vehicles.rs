@@ -5,7 +5,7 @@ use anyhow::Context;
 use datum::plc::{Order, Report, State, Trigger};
 use datum::sim::{self, Body, Build, Deviation, PAINTS, Paint, Random, Scene, Setup, Visit};
 use datum::station::{
-    CycleKeys, Hardware, Machine, NoStore, Pace, Parts, SimulationKeys, StationFile, deviation, load_all, teach_one,
+    CameraKeys, CycleKeys, Hardware, Machine, NoStore, Pace, Parts, SimulationKeys, StationFile, deviation, load_all, teach_one,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -28,6 +28,8 @@ pub(crate) struct Arguments {
 
 /// Size of the camera's image, of 2592×1944.
 pub(crate) const SCALE: f64 = 0.25;
+/// As in the guest's configuration.
+const LONGEST_MS: f64 = 100.0;
 /// What vehicles are drawn from, and the noise of the in-process simulations.
 const SEED: u64 = 8;
 const NOISE: [u64; 2] = [11, 12];
@@ -125,6 +127,7 @@ fn measure(setup: &Arc<Setup>, seed: u64, a: &Arguments, jobs: &Path) -> anyhow:
         pace: Pace::Free,
         config: StationFile {
             simulation: SimulationKeys { scale: SCALE, seed },
+            camera: CameraKeys { longest_ms: LONGEST_MS, ..CameraKeys::default() },
             cycle: CycleKeys { acquire_ms: 10_000, second_by_ms: 20_000, ..CycleKeys::default() },
             ..StationFile::default()
         },
