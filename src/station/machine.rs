@@ -16,7 +16,7 @@ use crate::calibrate::Calibration;
 use crate::capture::{RecordError, Shots, write};
 use crate::code::Code;
 use crate::geometry::{Pose, frame};
-use crate::hal::{Clock, Pool};
+use crate::hal::{Clock, Pool, Reading};
 use crate::measure::Measurement;
 use crate::plc::{
     Counters, Order, OrderKind, Outcome, Pulse, Report, ResultCode, State as Mode, Status, Trigger, Verification,
@@ -161,8 +161,8 @@ pub struct Machine {
     active: Option<u16>,
     /// The vehicle that comes by itself, of this job.
     coming: Option<u16>,
-    /// Since when the sensor has said what it says.
-    presence: (bool, Duration),
+    /// What the presence sensor says.
+    presence: Reading,
     /// A vehicle that stands there has been measured, or need not be.
     seen: bool,
     durations: Durations,
@@ -205,7 +205,7 @@ impl Machine {
             starts: HashMap::new(),
             active: None,
             coming: None,
-            presence: (false, now),
+            presence: Reading { present: false, since: now },
             seen: false,
             durations: Durations::default(),
             began: now,
@@ -289,16 +289,14 @@ impl Machine {
     fn watch_vehicles(&mut self) {
         let Some(sensor) = &mut self.parts.hardware.presence else { return };
         let now = self.parts.clock.now();
-        let Ok(there) = sensor.wait(true, Duration::ZERO) else { return };
-        if there != self.presence.0 {
-            self.presence = (there, now);
-        }
-        let steady = now >= self.presence.1 + Duration::from_millis(self.parts.config.presence.debounce_ms);
-        self.status.vehicle_present = self.presence.0;
-        if !there && steady {
+        let Ok(reading) = sensor.wait(true, Duration::ZERO) else { return };
+        self.presence = reading;
+        let steady = reading.steady(now, Duration::from_millis(self.parts.config.presence.debounce_ms));
+        self.status.vehicle_present = reading.present;
+        if !reading.present && steady {
             self.seen = false;
         }
-        if there && steady && !self.seen {
+        if reading.present && steady && !self.seen {
             self.seen = true;
             self.happened(Event::Arrived);
         }
@@ -313,7 +311,7 @@ impl Machine {
             ByItself::Unowned => !self.state.owned,
             ByItself::Always => true,
         };
-        let none_comes = self.coming.is_none() && !self.presence.0;
+        let none_comes = self.coming.is_none() && !self.presence.present;
         if waits
             && wanted
             && none_comes
@@ -502,7 +500,7 @@ impl Machine {
                 return None;
             }
         };
-        if cause == Cause::Ordered && self.status.presence_fitted && !self.presence.0 {
+        if cause == Cause::Ordered && self.status.presence_fitted && !self.presence.present {
             self.tell(Report::Refused { order: OrderKind::Measure, code: Code::NoVehicle, detail: 0 });
             return None;
         }

@@ -20,8 +20,9 @@ mod verify;
 
 pub use acquire::{Budget, LIMIT};
 pub use config::{
-    ArtefactKeys, CameraKeys, CameraKind, CycleKeys, JobsKeys, KEYS, Key, LightsKeys, LightsKind, PlcKeys,
-    PresenceKeys, PresenceKind, ProjectorKeys, ProjectorKind, RecordsKeys, SimulationKeys, StationFile, TriggerKind,
+    ArtefactKeys, CameraKeys, CameraKind, CameraTrigger, CycleKeys, JobsKeys, KEYS, Key, LightsKeys, LightsKind,
+    PixelFormat, PlcKeys, PresenceKeys, PresenceKind, ProjectorKeys, ProjectorKind, RecordsKeys, SimulationKeys,
+    StationFile, TemperatureKeys, TriggerKind,
 };
 pub use counters::Durations;
 pub use hardware::Hardware;

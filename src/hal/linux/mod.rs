@@ -1,0 +1,30 @@
+//! Drivers for Linux: GPIO lines, PWM channels, hwmon sensors, V4L2 nodes, behind the traits of `hal`.
+//! In:  names from the configuration. Out: devices. Chips are found by their label, lines by their name: numbers change
+//! from one kernel to the next.
+//! Not here: what is configured (`station`); logic that needs no kernel is pure and tested without one.
+
+mod bars;
+mod clock;
+mod gpio;
+mod hwmon;
+mod presence;
+mod pwm;
+
+pub use bars::{BarSettings, Bars, dark as bars_dark};
+pub use clock::MonotonicClock;
+pub use gpio::LineName;
+pub use hwmon::Thermometer;
+pub use presence::PresenceLine;
+pub use pwm::ChannelName;
+
+use std::path::PathBuf;
+
+/// Where the kernel shows its devices; another folder in tests.
+#[derive(Clone, Debug)]
+pub struct Sys(pub PathBuf);
+
+impl Default for Sys {
+    fn default() -> Self {
+        Self("/sys".into())
+    }
+}
