@@ -31,6 +31,12 @@ pub enum Error {
         /// Rows of the sensor.
         of: usize,
     },
+    /// An image came damaged.
+    #[error("{device}: an image came damaged")]
+    Damaged {
+        /// The device.
+        device: String,
+    },
     /// A buffer or a picture of another size than the device's.
     #[error("{device}: {what} of {}×{} px, allowed: {}×{} px", found.0, found.1, allowed.0, allowed.1)]
     Size {

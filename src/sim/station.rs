@@ -308,7 +308,9 @@ impl hal::Camera for Camera {
     }
 
     fn check(&mut self) -> Result<(), Error> {
-        Self::here(&self.world.world())
+        let world = self.world.world();
+        let gone = world.script.at(world.now, None).any(|f| *f == Fault::CameraGone);
+        if gone { Err(Error::Gone { device: Self::NAME.into() }) } else { Ok(()) }
     }
 
     fn grab(&mut self, timeout: Duration, image: &mut Image<u16>) -> Result<Exposure, Error> {

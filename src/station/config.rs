@@ -123,6 +123,8 @@ pub struct CameraKeys {
     /// What its gain control shows at gain 1; none: its least value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain_one: Option<i64>,
+    /// Images after a change of exposure or gain that still show the former.
+    pub lag_images: usize,
     /// Further controls by their names, set whenever it is opened.
     pub controls: BTreeMap<String, i64>,
     /// Grey level of no light.
@@ -384,6 +386,7 @@ impl Default for CameraKeys {
             trigger_line: None,
             exposure_unit_us: 100.0,
             gain_one: None,
+            lag_images: 2,
             controls: BTreeMap::new(),
             black_level: 2.0,
             white_level: None,
@@ -513,6 +516,7 @@ keys! {
     "camera" "trigger_line": "the GPIO line that triggers it", "a chip's label and a line's name, \"label/name\"";
     "camera" "exposure_unit_us": "one unit of its exposure control, us", "0.1 to 1000";
     "camera" "gain_one": "what its gain control shows at gain 1, from which gain grows in proportion; left out: its least value", "1 or greater";
+    "camera" "lag_images": "images after a change of exposure or gain that are still exposed as before", "0 to 10";
     "camera" "controls": "further V4L2 controls by name, set whenever it is opened, as in { \"Trigger Mode\" = 1 }", "whole numbers";
     "camera" "black_level": "grey level of no light", "0 to 4095";
     "camera" "white_level": "grey level from which on a sample is saturated; left out: the format's largest", "100 to 65535";
@@ -656,6 +660,7 @@ impl StationFile {
         check.within("camera.height", camera.height, 16..=10_000)?;
         check.within("camera.rate", camera.rate, 1.0..=1000.0)?;
         check.within("camera.exposure_unit_us", camera.exposure_unit_us, 0.1..=1000.0)?;
+        check.within("camera.lag_images", camera.lag_images, 0..=10)?;
         check.within("camera.gain_one", camera.gain_one.unwrap_or(1), 1..=i64::from(i32::MAX))?;
         check.within("camera.black_level", camera.black_level, 0.0..=4095.0)?;
         check.within("camera.white_level", camera.white_level.unwrap_or(100), 100..=u16::MAX)?;

@@ -58,11 +58,17 @@ impl Bars {
 }
 
 /// Every output dark, as far as each can be reached, whatever state its last program left it in; what could not be.
+/// Where another program holds a line nothing is touched: the lights are in its hands.
 pub fn dark(sys: &Sys, settings: &BarSettings) -> Vec<Error> {
-    let channels = settings.dimmers.iter().map(|name| Channel::open(DEVICE, sys, name, settings.hz).map(|_| ()));
-    let lines = settings.lines.iter().map(|name| Output::open(DEVICE, name, settings.active_low).map(|_| ()));
-    let alive = settings.alive.iter().map(|name| Output::open(DEVICE, name, false).map(|_| ()));
-    channels.chain(lines).chain(alive).filter_map(Result::err).collect()
+    let line = |name, active_low| Output::open(DEVICE, name, active_low).map(|_| ());
+    let lines = settings.lines.iter().map(|name| line(name, settings.active_low));
+    let mut wrong: Vec<Error> =
+        lines.chain(settings.alive.iter().map(|name| line(name, false))).filter_map(Result::err).collect();
+    if !wrong.iter().any(|e| matches!(e, Error::Held { .. })) {
+        let channels = settings.dimmers.iter().map(|name| Channel::open(DEVICE, sys, name, settings.hz).map(|_| ()));
+        wrong.extend(channels.filter_map(Result::err));
+    }
+    wrong
 }
 
 impl LightBars for Bars {
