@@ -131,9 +131,9 @@ fn listed(names: &[String]) -> String {
 
 impl Error {
     /// What the system said, if it was the system.
-    pub fn os(&self) -> Option<io::ErrorKind> {
+    pub fn os(&self) -> Option<&io::Error> {
         match self {
-            Self::Call { source, .. } => Some(source.kind()),
+            Self::Call { source, .. } => Some(source),
             _ => None,
         }
     }

@@ -199,17 +199,22 @@ fn warmth(temperatures: &Temperatures, tell: &mut dyn FnMut(Finding)) {
     }
 }
 
+const WRONG_NODE: &str = "This is the wrong node, of another device or another use: check the key `device`.";
+/// ENOTTY, <asm-generic/errno-base.h>.
+const NO_SUCH_IOCTL: i32 = 25;
+
 /// What an error means, and what to do.
 fn wrong(about: &'static str, error: &Error) -> Finding {
     let cause = error.source().map_or_else(String::new, |c| format!(": {c}"));
+    let is = |kind| error.os().is_some_and(|e| e.kind() == kind);
     let hint = match error {
-        Error::Call { .. } if error.os() == Some(ErrorKind::PermissionDenied) => {
+        Error::Call { .. } if is(ErrorKind::PermissionDenied) => {
             "No permission: run it as the service's user, or put this user into the groups `video` and `gpio`."
         }
-        Error::Call { .. } if error.os() == Some(ErrorKind::NotFound) => {
+        Error::Call { .. } if is(ErrorKind::NotFound) => {
             "There is no such node: check cable and power, and the key `device` (`v4l2-ctl --list-devices` lists all nodes)."
         }
-        Error::Call { .. } if error.os() == Some(ErrorKind::ResourceBusy) => {
+        Error::Call { .. } if is(ErrorKind::ResourceBusy) => {
             "Another program uses it: end that first (the service: `systemctl stop datum`)."
         }
         Error::Held { .. } => "Another program uses it: end that first (the service: `systemctl stop datum`).",
@@ -228,9 +233,8 @@ fn wrong(about: &'static str, error: &Error) -> Finding {
         }
         Error::Absent { what: "control", .. } => "Check camera.controls: the camera has those named.",
         Error::Absent { .. } => "Check the key: there are those named.",
-        Error::NotOffered { what: "the use", .. } => {
-            "This is the wrong node, of another device or another use: check the key `device`."
-        }
+        Error::NotOffered { what: "the use", .. } => WRONG_NODE,
+        Error::Call { source, .. } if source.raw_os_error() == Some(NO_SUCH_IOCTL) => WRONG_NODE,
         Error::NotOffered { .. } => "Set the format to one that the device offers.",
         Error::Size { .. } => "Set width and height to a size that the device offers, and calibrate with that.",
         Error::NoImage { .. } => "It is there but sends no images: check its trigger and its cable.",
