@@ -40,16 +40,9 @@ pub(crate) struct Plc {
 }
 
 impl Plc {
-    /// Connects to a datum that may still be starting.
-    pub(crate) fn connect(patience: Duration) -> anyhow::Result<Self> {
-        let began = Instant::now();
-        let stream = loop {
-            match TcpStream::connect("127.0.0.1:5020") {
-                Ok(stream) => break stream,
-                Err(e) if began.elapsed() > patience => return Err(e).context("datum's Modbus server"),
-                Err(_) => std::thread::sleep(LOOK),
-            }
-        };
+    /// Connects to a datum on this machine.
+    pub(crate) fn connect() -> anyhow::Result<Self> {
+        let stream = TcpStream::connect("127.0.0.1:5020").context("datum's Modbus server")?;
         stream.set_nodelay(true)?;
         stream.set_read_timeout(Some(Duration::from_secs(10)))?;
         Ok(Self { stream, beat: 0, held: 0 })

@@ -7,10 +7,10 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-const PROGRAM: &str = "./datum";
+const PATH: &str = "./datum";
 
 /// The station's configuration in the guest. What the drivers need is here; all else is as datum has it, but for time: the
-/// player gives some ten images a second, and what is waited for an image grows with the longest exposure.
+/// player gives some ten images a second.
 const CONFIG: &str = r#"format = 1
 serial = "GUEST"
 calibration = "calibration.toml"
@@ -21,13 +21,14 @@ device = "/dev/datum/camera"
 width = 648
 height = 486
 format = "GREY"
-longest_ms = 100
+rate = 8
+lag_images = 0
 [projector]
 kind = "v4l2-output"
 device = "/dev/datum/projector"
 width = 1280
 height = 800
-settle_ms = 5
+settle_ms = 40
 [lights]
 kind = "gpio"
 left = "datum-gpio/bar-left"
@@ -50,23 +51,23 @@ keep_every = 1
 "#;
 
 /// A running `datum run`. Killed when dropped.
-pub(crate) struct Datum {
+pub(crate) struct Program {
     child: Child,
 }
 
-impl Datum {
+impl Program {
     /// Starts it in `folder`; a cycle begins by `trigger`, "plc" or "presence". What it says goes to datum.log.
     pub(crate) fn run(folder: &Path, trigger: &str) -> anyhow::Result<Self> {
         fs::write(folder.join("station.toml"), CONFIG.replace("TRIGGER", trigger))?;
         let log = File::options().create(true).append(true).open(folder.join("datum.log"))?;
-        let child = Command::new(PROGRAM)
+        let child = Command::new(PATH)
             .args(["run", "-v", "--config"])
             .arg(folder.join("station.toml"))
             .stdin(Stdio::null())
             .stdout(log.try_clone()?)
             .stderr(log)
             .spawn()
-            .context(PROGRAM)?;
+            .context(PATH)?;
         Ok(Self { child })
     }
 
@@ -83,7 +84,7 @@ impl Datum {
     }
 }
 
-impl Drop for Datum {
+impl Drop for Program {
     fn drop(&mut self) {
         let _ = self.child.kill(); // it may have ended by itself
         let _ = self.child.wait();
@@ -93,7 +94,7 @@ impl Drop for Datum {
 /// `datum safe`, as systemd's ExecStopPost runs it.
 pub(crate) fn safe(folder: &Path) -> anyhow::Result<()> {
     let began = Instant::now();
-    let status = Command::new(PROGRAM).arg("safe").arg("--config").arg(folder.join("station.toml")).status()?;
+    let status = Command::new(PATH).arg("safe").arg("--config").arg(folder.join("station.toml")).status()?;
     ensure!(status.success(), "datum safe: {status}");
     ensure!(began.elapsed() < Duration::from_secs(5), "datum safe took {:?}", began.elapsed());
     Ok(())

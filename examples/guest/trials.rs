@@ -1,7 +1,7 @@
 //! What must hold of `datum` on real V4L2, GPIO and PWM. In: a folder that `guest prepare` wrote. Out: a line for each
 //! thing seen; an error for the first that does not hold.
 
-use crate::program::{Datum, lit, safe};
+use crate::program::{Program, lit, safe};
 use crate::pins::{self, PRESENCE};
 use crate::player::{Player, digest};
 use crate::plc::{Outcome, Plc};
@@ -88,12 +88,9 @@ struct Bench {
 
 impl Bench {
     /// A running datum that is ready for triggers.
-    fn begin(&self, trigger: &str) -> anyhow::Result<(Datum, Plc)> {
-        let mut datum = Datum::run(&self.folder, trigger)?;
-        let mut plc = Plc::connect(STARTS)?;
-        let owned = plc.own(STARTS);
-        ensure!(datum.lives()?, "datum ended while it started: see datum.log");
-        owned.context("datum's start")?;
+    fn begin(&self, trigger: &str) -> anyhow::Result<(Program, Plc)> {
+        let mut datum = Program::run(&self.folder, trigger)?;
+        let plc = owned(&mut datum)?;
         Ok((datum, plc))
     }
 
@@ -262,9 +259,9 @@ impl Bench {
     fn kill(&self) -> anyhow::Result<()> {
         let mut left = 0;
         for phase in Phase::ALL {
-            let datum = Datum::run(&self.folder, "plc")?;
+            let mut datum = Program::run(&self.folder, "plc")?;
             self.player.bring(&scene(0, self.jobs))?;
-            self.reach(phase).with_context(|| format!("{phase:?}"))?;
+            self.reach(&mut datum, phase).with_context(|| format!("{phase:?}"))?;
             datum.kill()?;
             let before = lit()?;
             left += usize::from(!before.is_empty());
@@ -280,7 +277,7 @@ impl Bench {
     }
 
     /// Waits until datum is in that phase.
-    fn reach(&self, phase: Phase) -> anyhow::Result<()> {
+    fn reach(&self, datum: &mut Program, phase: Phase) -> anyhow::Result<()> {
         let until = |reached: &dyn Fn() -> bool| -> anyhow::Result<()> {
             let began = Instant::now();
             while !reached() {
@@ -299,8 +296,7 @@ impl Bench {
             Phase::SelfTest => return until(&bars),
             _ => {}
         }
-        let mut plc = Plc::connect(STARTS)?;
-        plc.own(STARTS)?;
+        let mut plc = owned(datum)?;
         if phase == Phase::Ready {
             return Ok(());
         }
@@ -332,6 +328,21 @@ impl Bench {
         ensure!(last.as_ref().is_some_and(|s| s.picture.is_none() && s.bars == [0.0; 2]), "still lit: {last:?}");
         Ok(())
     }
+}
+
+/// A PLC that owns the station, when it is ready.
+fn owned(datum: &mut Program) -> anyhow::Result<Plc> {
+    let began = Instant::now();
+    let mut plc = loop {
+        match Plc::connect() {
+            Ok(plc) => break plc,
+            Err(e) if began.elapsed() > STARTS => return Err(e),
+            Err(_) => sleep(Duration::from_millis(50)),
+        }
+        ensure!(datum.lives()?, "datum ended while it started");
+    };
+    plc.own(STARTS).context("datum's start")?;
+    Ok(plc)
 }
 
 /// When datum is killed.

@@ -5,7 +5,7 @@ use anyhow::Context;
 use datum::plc::{Order, Report, State, Trigger};
 use datum::sim::{self, Body, Build, Deviation, PAINTS, Paint, Random, Scene, Setup, Visit};
 use datum::station::{
-    CameraKeys, CycleKeys, Hardware, Machine, NoStore, Pace, Parts, SimulationKeys, StationFile, deviation, load_all, teach_one,
+    CycleKeys, Hours, Machine, NoStore, Pace, Parts, Simulated, SimulationKeys, StationFile, deviation, load_all, teach_one,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -28,8 +28,6 @@ pub(crate) struct Arguments {
 
 /// Size of the camera's image, of 2592×1944.
 pub(crate) const SCALE: f64 = 0.25;
-/// As in the guest's configuration.
-const LONGEST_MS: f64 = 100.0;
 /// What vehicles are drawn from, and the noise of the in-process simulations.
 const SEED: u64 = 8;
 const NOISE: [u64; 2] = [11, 12];
@@ -74,7 +72,7 @@ pub(crate) fn run(a: &Arguments) -> anyhow::Result<ExitCode> {
         }
     }
     let mut expected = Vec::new();
-    let measured: Vec<Vec<_>> = NOISE.iter().map(|seed| measure(&setup, *seed, a, &jobs)).collect::<Result<_, _>>()?;
+    let measured: Vec<Vec<_>> = NOISE.iter().map(|seed| measure(*seed, a, &jobs)).collect::<Result<_, _>>()?;
     for (number, (a, b)) in measured[0].iter().zip(&measured[1]).enumerate() {
         let (Some((job, first, uncertainty)), Some((_, second, _))) = (a, b) else {
             anyhow::bail!("vehicle {number} is not measured by the in-process simulation");
@@ -98,21 +96,15 @@ pub(crate) fn expected(folder: &Path) -> anyhow::Result<(Vec<Expected>, u16)> {
 type Pose = Option<(u16, Six, Six)>;
 
 /// All vehicles through a station on simulated devices.
-fn measure(setup: &Arc<Setup>, seed: u64, a: &Arguments, jobs: &Path) -> anyhow::Result<Vec<Pose>> {
-    let station = sim::Station::new(Arc::clone(setup), seed, Vec::new(), sim::Script::default());
-    let hardware = Hardware {
-        camera: Box::new(station.camera()),
-        projector: Box::new(station.projector()),
-        bars: Box::new(station.bars()),
-        presence: Some(Box::new(station.presence())),
-        simulated: true,
-    };
+fn measure(seed: u64, a: &Arguments, jobs: &Path) -> anyhow::Result<Vec<Pose>> {
+    let simulated = Simulated::new(SCALE, seed);
+    let station = simulated.station.clone();
     let (orders, taken) = mpsc::channel();
     let (report, reports) = mpsc::channel();
-    let calibration = sim::calibration(setup);
+    let calibration = simulated.calibration();
     let mut machine = Machine::new(Parts {
-        hardware,
-        clock: Box::new(station.clock()),
+        hardware: simulated.hardware(),
+        clock: simulated.clock(),
         world: None,
         jobs: load_all(jobs, &calibration, None),
         calibration,
@@ -122,12 +114,12 @@ fn measure(setup: &Arc<Setup>, seed: u64, a: &Arguments, jobs: &Path) -> anyhow:
         told: Box::new(|_| ()),
         store: Box::new(NoStore),
         pulse: Arc::default(),
+        hours: Hours::default(),
         counters: datum::plc::Counters::default(),
         stop: Arc::default(),
         pace: Pace::Free,
         config: StationFile {
             simulation: SimulationKeys { scale: SCALE, seed },
-            camera: CameraKeys { longest_ms: LONGEST_MS, ..CameraKeys::default() },
             cycle: CycleKeys { acquire_ms: 10_000, second_by_ms: 20_000, ..CycleKeys::default() },
             ..StationFile::default()
         },
