@@ -817,7 +817,7 @@ seed = 1
     #[test]
     fn an_error_names_file_key_value_and_what_is_allowed() {
         for (text, says) in [
-            ("format = 1\n[camera]\nknd = 1", "s.toml: line 3, `knd = 1`: unknown field `knd`, expected `kind` or"),
+            ("format = 1\n[camera]\nknd = 1", "s.toml: line 3, `knd = 1`: unknown field `knd`, expected one of `kind`"),
             (
                 "format = 1\n[camera]\nkind = \"usb\"",
                 "unknown variant `usb`, expected one of `simulated`, `v4l2`, `libcamera`",
