@@ -73,6 +73,17 @@ fn doctor_finds_the_simulated_station_well() {
 }
 
 #[test]
+fn doctor_names_a_size_that_was_not_calibrated() {
+    let calibration = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/station/calibration.toml");
+    let text = absent("/dev/null").replacen("format = 1", &format!("format = 1\ncalibration = {calibration:?}"), 1);
+    let config = file("size", &text);
+    let (status, said, _) = datum(&["doctor", "--config", config.to_str().expect("UTF-8")]);
+    let says = "WRONG  calibration                   camera.width and camera.height = 2592×1944, allowed: 648×486";
+    assert!(status == Some(3) && said.contains(says) && said.contains("-> The size is wrong"), "{said}");
+    std::fs::remove_file(config).expect("just written");
+}
+
+#[test]
 fn safe_tries_every_output_and_tells_of_each_that_it_did_not_reach() {
     let config = file("unsafe", &absent("/dev/no-such-camera"));
     let (status, _, said) = datum(&["safe", "--config", config.to_str().expect("UTF-8")]);

@@ -11,7 +11,6 @@ use crate::fringe::Axis;
 use crate::hal::Sensor;
 use crate::image::Image;
 use std::f64::consts::{FRAC_PI_8, PI, TAU};
-use std::ops::Deref;
 
 /// Median residual of a set, as a share of the modulation, from which on an image is not its pattern's. One late by a step
 /// in a set of 8 makes 0.19; projectors that are not linear, 0.04.
@@ -32,9 +31,9 @@ struct Fit {
 }
 
 /// Checks the images of `sets`, in the order shown, at `pixels`; exposed with `gain`. An error says what is wrong.
-pub fn check_order<B: Deref<Target = Image<u16>>>(
+pub fn check_order(
     sets: &[(Axis, u32, u32)],
-    images: &[B],
+    images: &[&Image<u16>],
     pixels: &[usize],
     sensor: &Sensor,
     gain: f64,
@@ -87,7 +86,7 @@ pub fn check_order<B: Deref<Target = Image<u16>>>(
     Ok(())
 }
 
-fn fit<B: Deref<Target = Image<u16>>>(images: &[B], at: usize, sensor: &Sensor, gain: f64) -> Option<Fit> {
+fn fit(images: &[&Image<u16>], at: usize, sensor: &Sensor, gain: f64) -> Option<Fit> {
     let n = images.len() as f64;
     let angle = |k: usize| TAU * k as f64 / n;
     let (mut a, mut c, mut s, mut square) = (0.0, 0.0, 0.0, 0.0);
@@ -141,7 +140,7 @@ mod tests {
     }
 
     /// A camera that looks straight at what the projector shows, through a lens that bends it a little.
-    fn images() -> Vec<Box<Image<u16>>> {
+    fn images() -> Vec<Image<u16>> {
         let mut images = Vec::new();
         for (axis, count, steps) in SETS {
             let set = PatternSet::new(axis, count, steps).expect("usual");
@@ -152,21 +151,21 @@ mod tests {
                     let at = 1.9 * x as f64 + 8e-5 * (x * x) as f64;
                     u16::from(shown.pixels[y * 1280 + at as usize]) / 2 + 20
                 };
-                images.push(Box::new(Image { width: 640, height: 4, pixels: (0..640 * 4).map(level).collect() }));
+                images.push(Image { width: 640, height: 4, pixels: (0..640 * 4).map(level).collect() });
             }
         }
         images
     }
 
-    fn check(images: &[Box<Image<u16>>]) -> Result<(), String> {
+    fn check(images: &[Image<u16>]) -> Result<(), String> {
         let pixels: Vec<usize> = (0..640 * 4).collect();
-        check_order(&SETS, images, &pixels, &sensor(), 1.0)
+        check_order(&SETS, &images.iter().collect::<Vec<_>>(), &pixels, &sensor(), 1.0)
     }
 
     #[test]
     fn images_of_their_patterns_pass() {
         assert_eq!(check(&images()), Ok(()));
-        let dark: Vec<_> = (0..16).map(|_| Box::new(Image::filled(640, 4, 3))).collect();
+        let dark: Vec<_> = (0..16).map(|_| Image::filled(640, 4, 3)).collect();
         assert_eq!(check(&dark), Ok(()), "nothing can be said");
     }
 
@@ -180,7 +179,7 @@ mod tests {
                 assert!(check(&wrong).is_err(), "{k} shows {other}");
             }
             let mut wrong = right.clone();
-            *wrong[k] = Image::filled(640, 4, 20);
+            wrong[k] = Image::filled(640, 4, 20);
             assert!(check(&wrong).is_err(), "{k} is dark");
         }
     }

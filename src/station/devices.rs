@@ -3,6 +3,7 @@
 
 use super::config::{CameraTrigger, PixelFormat, ProjectorKind, StationFile};
 use super::hardware::{Hardware, Temperatures};
+use crate::calibrate::Calibration;
 use crate::capture::TYPICAL_GAIN;
 use crate::hal::linux::{
     BarSettings, Bars, CameraSettings, OutputProjector, OutputSettings, PresenceLine, SequencedProjector,
@@ -115,6 +116,24 @@ pub fn dark(config: &StationFile) -> Vec<Error> {
     };
     wrong.extend(projector.err());
     wrong
+}
+
+/// Whether images and pictures have the sizes that were calibrated; an error says what has not.
+pub fn fits(calibration: &Calibration, camera: (usize, usize), projector: (usize, usize)) -> Result<(), String> {
+    let rig = &calibration.rig;
+    for (key, found, allowed) in [
+        ("camera.width and camera.height", camera, (rig.camera.width, rig.camera.height)),
+        ("projector.width and projector.height", projector, (rig.projector.width, rig.projector.height)),
+    ] {
+        if found != allowed {
+            let at = calibration.file.display();
+            return Err(format!(
+                "{key} = {}×{}, allowed: {}×{}, as {at} has it",
+                found.0, found.1, allowed.0, allowed.1
+            ));
+        }
+    }
+    Ok(())
 }
 
 fn bar_settings(config: &StationFile) -> BarSettings {

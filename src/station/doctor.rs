@@ -8,6 +8,7 @@ use super::hardware::{Hardware, Temperatures};
 use super::light::means;
 use super::selftest;
 use super::simulated::{Simulated, Traffic, World};
+use crate::calibrate::Calibration;
 use crate::hal::linux::{MonotonicClock, Stream};
 use crate::hal::{Clock, Error, Pool};
 use crate::image::Image;
@@ -58,7 +59,7 @@ const EARLIEST_MS: u64 = 1_767_225_600_000;
 const FULL: (f64, u64) = (0.02, 64 << 20);
 /// Images over which the stream is watched, and for how long at most.
 const IMAGES: usize = 30;
-const WATCHED: Duration = Duration::from_secs(8);
+const WATCHED: Duration = Duration::from_secs(3);
 /// Tried from the longest on, until not everything is saturated.
 const EXPOSURES: [Duration; 4] =
     [Duration::from_millis(20), Duration::from_millis(5), Duration::from_millis(1), Duration::from_micros(200)];
@@ -86,6 +87,7 @@ pub fn examine(config: &StationFile, tell: &mut dyn FnMut(Finding)) {
         let mut hardware = simulated.hardware();
         return with_light(&mut hardware, &*simulated.clock(), config, tell);
     }
+    tell(calibration(config));
     let mut found = |about: &'static str, error: &Error| tell(wrong(about, error));
     let camera = devices::camera(config).map_err(|e| found("camera", &e)).ok();
     // its light's own time is what is to be measured
@@ -182,6 +184,27 @@ fn storage(config: &StationFile) -> Finding {
         Err(e) => {
             bad(ABOUT, format!("{}: {e}", folder.display()), "Check records.folder and that its disk is mounted.")
         }
+    }
+}
+
+/// Whether there is one, of images and pictures of these sizes.
+fn calibration(config: &StationFile) -> Finding {
+    const ABOUT: &str = "calibration";
+    let Some(file) = &config.calibration else {
+        return doubtful(
+            ABOUT,
+            "there is none yet",
+            "Record boards by `datum capture --rows`, then `datum calibrate projector`.",
+        );
+    };
+    let (camera, projector) = (&config.camera, &config.projector);
+    let sizes = ((camera.width, camera.height), (projector.width, projector.height));
+    match Calibration::read(&config.beside(file)) {
+        Err(e) => bad(ABOUT, e.to_string(), "Restore the file, or calibrate anew."),
+        Ok(read) => match devices::fits(&read, sizes.0, sizes.1) {
+            Err(said) => bad(ABOUT, said, "The size is wrong: set the one that was calibrated, or calibrate anew."),
+            Ok(()) => good(ABOUT, read.id.unwrap_or_else(|| "its sizes are those of camera and projector".into())),
+        },
     }
 }
 

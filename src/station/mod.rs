@@ -28,7 +28,7 @@ pub use config::{
     StationFile, TemperatureKeys, TriggerKind,
 };
 pub use counters::Durations;
-pub use devices::{bars, camera, dark, presence, projector, real, temperatures};
+pub use devices::{bars, camera, dark, fits, presence, projector, real, temperatures};
 pub use doctor::{Finding, Health, examine};
 pub use hardware::{Hardware, Temperatures};
 pub use hours::Hours;

@@ -89,7 +89,8 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
             }
         },
     };
-    if let Err(said) = fits(&calibration, &hardware) {
+    let (sensor, projector) = (hardware.camera.sensor(), hardware.projector.size());
+    if let Err(said) = station::fits(&calibration, (sensor.width, sensor.height), projector) {
         anyhow::bail!("{}: {said}", config.file.display());
     }
     let hours = Hours::new(kept.hours());
@@ -203,24 +204,6 @@ fn server(config: &StationFile) -> anyhow::Result<plc::Config> {
         presence: config.cycle.trigger == TriggerKind::Presence,
         patience: PATIENCE,
     })
-}
-
-/// Whether images and pictures have the sizes that were calibrated.
-fn fits(calibration: &Calibration, hardware: &Hardware) -> Result<(), String> {
-    let (rig, sensor, projector) = (&calibration.rig, hardware.camera.sensor(), hardware.projector.size());
-    for (key, found, allowed) in [
-        ("camera.width and camera.height", (sensor.width, sensor.height), (rig.camera.width, rig.camera.height)),
-        ("projector.width and projector.height", projector, (rig.projector.width, rig.projector.height)),
-    ] {
-        if found != allowed {
-            let at = calibration.file.display();
-            return Err(format!(
-                "{key} = {}×{}, allowed: {}×{}, as {at} has it",
-                found.0, found.1, allowed.0, allowed.1
-            ));
-        }
-    }
-    Ok(())
 }
 
 /// CRC-32 of the calibration's file; 0: it has none.

@@ -137,11 +137,11 @@ impl<B: Buffers> Screen<B> {
         let bytes = self.queue.bytes(index);
         let used = (stride * height).min(bytes.len());
         let rows = bytes.chunks_mut(stride).take(height);
-        match picture {
-            Some(picture) => {
-                rows.zip(picture.pixels.chunks_exact(width)).for_each(|(to, from)| to[..width].copy_from_slice(from))
+        for (y, row) in rows.enumerate() {
+            match picture {
+                Some(picture) => row[..width].copy_from_slice(picture.row(y)),
+                None => row[..width].fill(0),
             }
-            None => rows.for_each(|to| to[..width].fill(0)),
         }
         self.queue.queue(index, used).map_err(|e| refused(DEVICE, "VIDIOC_QBUF", e))?;
         self.shows[index] = self.showing;

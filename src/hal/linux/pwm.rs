@@ -86,12 +86,13 @@ impl Channel {
         }
     }
 
-    /// Duty first: a channel that is only disabled may stay at the level it had.
+    /// Duty first: a channel that is only disabled may stay at the level it had. One that never had a period is off, and
+    /// takes neither.
     fn dark(&self) -> Result<(), Error> {
-        let period = read(&self.folder.join("period"));
-        if period.is_some_and(|p| p != "0") {
-            self.write("duty_cycle", 0)?; // a channel that never had a period takes no duty
+        if read(&self.folder.join("period")).is_some_and(|p| p == "0") {
+            return Ok(());
         }
+        self.write("duty_cycle", 0)?;
         self.write("enable", 0)
     }
 
