@@ -1,12 +1,14 @@
 //! The world of a guest with a station's devices (board/guest): plays the scene between its projector's node and its
 //! camera's, and shows that `datum` measures there. `board/test guest` runs it.
 
-mod program;
+#![expect(clippy::print_stdout, reason = "what was seen goes to the console")]
+
 mod exact;
 mod pins;
 mod play;
 mod player;
 mod plc;
+mod program;
 mod trials;
 mod v4l2;
 mod vehicles;

@@ -350,7 +350,11 @@ impl Playing {
         let take = Take { exposure: view.time, gain: view.gain, seed: self.seed, number };
         expose(&self.setup, &view.layers.0, &lit, None, &take, &mut self.image);
         let samples = self.image.pixels.iter();
-        if self.setup.sensor.bits == 8 { samples.map(|v| *v as u8).collect() } else { samples.flat_map(|v| v.to_le_bytes()).collect() }
+        if self.setup.sensor.bits == 8 {
+            samples.map(|v| *v as u8).collect()
+        } else {
+            samples.flat_map(|v| v.to_le_bytes()).collect()
+        }
     }
 
     /// The place in `pictures` of what that buffer shows.

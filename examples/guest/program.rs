@@ -58,7 +58,7 @@ pub(crate) struct Program {
 impl Program {
     /// Starts it in `folder`; a cycle begins by `trigger`, "plc" or "presence". What it says goes to datum.log.
     pub(crate) fn run(folder: &Path, trigger: &str) -> anyhow::Result<Self> {
-        fs::write(folder.join("station.toml"), CONFIG.replace("TRIGGER", trigger))?;
+        configure(folder, trigger)?;
         let log = File::options().create(true).append(true).open(folder.join("datum.log"))?;
         let child = Command::new(PATH)
             .args(["run", "-v", "--config"])
@@ -89,6 +89,18 @@ impl Drop for Program {
         let _ = self.child.kill(); // it may have ended by itself
         let _ = self.child.wait();
     }
+}
+
+fn configure(folder: &Path, trigger: &str) -> anyhow::Result<()> {
+    Ok(fs::write(folder.join("station.toml"), CONFIG.replace("TRIGGER", trigger))?)
+}
+
+/// `datum doctor`; what it finds goes to the console.
+pub(crate) fn doctor(folder: &Path) -> anyhow::Result<()> {
+    configure(folder, "plc")?;
+    let status = Command::new(PATH).arg("doctor").arg("--config").arg(folder.join("station.toml")).status()?;
+    ensure!(status.success(), "datum doctor: {status}");
+    Ok(())
 }
 
 /// `datum safe`, as systemd's ExecStopPost runs it.

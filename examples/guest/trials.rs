@@ -1,10 +1,10 @@
 //! What must hold of `datum` on real V4L2, GPIO and PWM. In: a folder that `guest prepare` wrote. Out: a line for each
 //! thing seen; an error for the first that does not hold.
 
-use crate::program::{Program, lit, safe};
 use crate::pins::{self, PRESENCE};
 use crate::player::{Player, digest};
 use crate::plc::{Outcome, Plc};
+use crate::program::{Program, doctor, lit, safe};
 use crate::vehicles::{self, Expected, SCALE, Six, scene};
 use anyhow::{Context, bail, ensure};
 use datum::Capture;
@@ -29,6 +29,8 @@ pub(crate) struct Arguments {
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub(crate) enum Trial {
+    /// `datum doctor` finds nothing wrong
+    Doctor,
     /// Poses are those of the in-process simulation
     Vehicles,
     /// With 5 % of the images lost and 5 % broken no image is taken for another pattern's
@@ -65,6 +67,7 @@ pub(crate) fn run(a: &Arguments) -> anyhow::Result<ExitCode> {
         let began = Instant::now();
         println!("== {trial:?}");
         let shown = match trial {
+            Trial::Doctor => bench.doctor(),
             Trial::Vehicles => bench.vehicles(),
             Trial::Faults => bench.faults(),
             Trial::Unplug => bench.unplug(),
@@ -102,6 +105,12 @@ impl Bench {
         self.player.leave()?;
         sleep(GONE);
         Ok(outcome)
+    }
+
+    fn doctor(&self) -> anyhow::Result<()> {
+        self.player.bring(&scene(0, self.jobs))?;
+        doctor(&self.folder)?;
+        self.player.leave().context("the presence line")
     }
 
     fn vehicles(&self) -> anyhow::Result<()> {

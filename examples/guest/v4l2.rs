@@ -18,8 +18,10 @@ const O_NONBLOCK: i32 = 0o4000;
 const PROT_READ_WRITE: i32 = 3;
 const MAP_SHARED: i32 = 1;
 /// Not in the crate: `_IOWR('V', 87, struct v4l2_dv_timings)`.
-const S_DV_TIMINGS: vidioc::_IOC_TYPE =
-    (3 << 30) | ((size_of::<sys::v4l2_dv_timings>() as vidioc::_IOC_TYPE) << 16) | ((b'V' as vidioc::_IOC_TYPE) << 8) | 87;
+const S_DV_TIMINGS: vidioc::_IOC_TYPE = (3 << 30)
+    | ((size_of::<sys::v4l2_dv_timings>() as vidioc::_IOC_TYPE) << 16)
+    | ((b'V' as vidioc::_IOC_TYPE) << 8)
+    | 87;
 
 /// Controls of the guest's devices.
 pub(crate) mod control {
@@ -156,7 +158,14 @@ impl Node {
             let length = b.length as usize;
             // SAFETY: a new mapping, as long as the kernel says the buffer is; unmapped once, when dropped
             let at = unsafe {
-                mmap(std::ptr::null_mut(), length, PROT_READ_WRITE, MAP_SHARED, self.file.as_raw_fd(), i64::from(b.m.offset))
+                mmap(
+                    std::ptr::null_mut(),
+                    length,
+                    PROT_READ_WRITE,
+                    MAP_SHARED,
+                    self.file.as_raw_fd(),
+                    i64::from(b.m.offset),
+                )
             }?;
             self.buffers.push((at.cast(), length));
         }

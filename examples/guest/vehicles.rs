@@ -5,7 +5,8 @@ use anyhow::Context;
 use datum::plc::{Order, Report, State, Trigger};
 use datum::sim::{self, Body, Build, Deviation, PAINTS, Paint, Random, Scene, Setup, Visit};
 use datum::station::{
-    CycleKeys, Hours, Machine, NoStore, Pace, Parts, Simulated, SimulationKeys, StationFile, deviation, load_all, teach_one,
+    CycleKeys, Hours, Machine, NoStore, Pace, Parts, Simulated, SimulationKeys, StationFile, deviation, load_all,
+    teach_one,
 };
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
