@@ -218,10 +218,13 @@ impl Bench {
                 ensure!(began.elapsed() < Duration::from_secs(10), "datum keeps the camera that is gone open");
                 sleep(Duration::from_millis(10));
             }
+            let back = Instant::now();
             if plc.error()? != 0 {
                 plc.clear()?;
             }
-            let took = plc.until(READY, 0, READY_AGAIN)?;
+            plc.until(READY, 0, READY_AGAIN)?;
+            let took = back.elapsed();
+            ensure!(took <= READY_AGAIN, "return {time}: ready after {took:?}");
             println!("return {time:2}: ready after {} ms", took.as_millis());
             ensure!(datum.lives()?, "datum ended");
         }
