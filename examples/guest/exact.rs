@@ -45,7 +45,10 @@ fn through(format: [u8; 4], bytes: usize) -> anyhow::Result<()> {
         queued.push(digest(&out.bytes(index)[..length]));
         out.queue(index, stamp(k))?;
         // the kernel may wait for a second one before it begins
-        while k > 0 {
+        if k == 0 {
+            continue;
+        }
+        loop {
             let given = camera.next(PATIENCE)?.context("no image came")?;
             let captured = digest(&camera.bytes(given.index)[..length]);
             let of = (0..=k).find(|k| stamp(*k) == given.stamp).context("an image of another time")?;

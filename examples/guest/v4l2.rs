@@ -193,7 +193,7 @@ impl Node {
         if self.side == Side::Output {
             b.bytesused = self.buffers[index as usize].1 as u32;
             b.field = sys::v4l2_field_V4L2_FIELD_NONE;
-            b.timestamp.tv_sec = stamp.as_secs() as _;
+            b.timestamp.tv_sec = stamp.as_secs().cast_signed() as _;
             b.timestamp.tv_usec = stamp.subsec_micros().into();
         }
         self.call(vidioc::VIDIOC_QBUF, &mut b)
