@@ -392,7 +392,8 @@ impl Machine {
                     self.loaded = tested.is_ok();
                 }
                 if tested.is_ok() && (self.parts.config.cycle.self_test || self.state.fault.is_some()) {
-                    tested = selftest::test(&mut self.parts.hardware, &self.pool);
+                    let pulse = &self.parts.pulse;
+                    tested = selftest::test(&mut self.parts.hardware, &self.pool, &|| pulse.beat());
                 }
                 self.tested_at = self.parts.clock.now();
                 Some(Event::Tested(tested))

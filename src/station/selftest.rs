@@ -22,9 +22,9 @@ const ANSWER: f64 = 0.004;
 const OVER_CHANGE: f64 = 3.0;
 const TIMEOUT: Duration = Duration::from_millis(500);
 
-/// Tries everything; the cycle's pictures are loaded.
-pub(super) fn test(hardware: &mut Hardware, pool: &Pool) -> Result<(), Code> {
-    let tested = try_all(hardware, pool);
+/// Tries everything; the cycle's pictures are loaded. `alive` is called before each image: slow cameras take their time.
+pub(super) fn test(hardware: &mut Hardware, pool: &Pool, alive: &dyn Fn()) -> Result<(), Code> {
+    let tested = try_all(hardware, pool, alive);
     let dark = hardware.dark();
     tested.and(dark)
 }
@@ -53,7 +53,7 @@ pub fn stored_pictures(width: usize, height: usize) -> Vec<Image<u8>> {
     stored
 }
 
-fn try_all(hardware: &mut Hardware, pool: &Pool) -> Result<(), Code> {
+fn try_all(hardware: &mut Hardware, pool: &Pool, alive: &dyn Fn()) -> Result<(), Code> {
     let sensor = hardware.camera.sensor().clone();
     let one_image = || pool.take().or_else(|| Pool::new(&sensor, 1).take()).expect("a new pool has one");
     let mut images: [_; 5] = std::array::from_fn(|_| one_image());
@@ -67,6 +67,7 @@ fn try_all(hardware: &mut Hardware, pool: &Pool) -> Result<(), Code> {
             hardware.bars.set(drive.unwrap_or_default()).map_err(|_| Code::LightFault)?;
             let picture = (n == 4).then_some(grey);
             hardware.projector.show(picture).map_err(|_| Code::ProjectorSilent)?;
+            alive();
             grab(hardware, image)?;
         }
         let [before, left, right, after, projected] = &images;
