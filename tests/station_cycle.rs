@@ -5,7 +5,7 @@
 mod bench;
 
 use bench::{Bench, jobs};
-use datum::hal::{Camera, Error, Exposure, Presence, Sensor};
+use datum::hal::{Camera, Clock, Error, Exposure, Presence, Reading, Sensor};
 use datum::image::Image;
 use datum::measure::Shared;
 use datum::plc::{Order, OrderKind, Report, ResultCode, State, Trigger};
@@ -265,6 +265,9 @@ impl Camera for Panics {
         self.left = self.left.checked_sub(1).expect("it panics after so many images");
         self.camera.grab(timeout, image)
     }
+    fn check(&mut self) -> Result<(), Error> {
+        self.camera.check()
+    }
 }
 
 #[test]
@@ -282,13 +285,20 @@ fn a_panic_leaves_no_light_on() {
     }
 }
 
-/// A sensor that chatters before it makes up its mind, once per look.
-struct Chatters(Vec<bool>, usize);
+/// A sensor that chatters before it makes up its mind, once per look. Some of its bounces are over when it is asked.
+struct Chatters {
+    clock: datum::sim::Clock,
+    says: Vec<(bool, bool)>,
+    last: Reading,
+}
 
 impl Presence for Chatters {
-    fn wait(&mut self, _: bool, _: Duration) -> Result<bool, Error> {
-        self.1 += 1;
-        Ok(self.0[(self.1 - 1).min(self.0.len() - 1)])
+    fn wait(&mut self, _: bool, _: Duration) -> Result<Reading, Error> {
+        let (present, bounced) = if self.says.len() > 1 { self.says.remove(0) } else { self.says[0] };
+        if bounced || present != self.last.present {
+            self.last = Reading { present, since: self.clock.now() };
+        }
+        Ok(self.last)
     }
 }
 
@@ -296,9 +306,13 @@ impl Presence for Chatters {
 fn a_sensor_that_chatters_begins_one_cycle() {
     let mut config = config();
     config.cycle.trigger = TriggerKind::Presence;
-    let change = |_: &Simulated, hardware: &mut Hardware| {
-        hardware.presence =
-            Some(Box::new(Chatters(vec![false, true, false, true, false, true, true, true, true, true], 0)));
+    let change = |simulated: &Simulated, hardware: &mut Hardware| {
+        let mut says: Vec<_> = [false, true, false, true, false, true, true].map(|present| (present, false)).into();
+        // bounces that are over by the next look, while it settles and long after
+        says.extend([(true, true), (true, true), (true, false), (true, false), (true, false), (true, false)]);
+        says.extend([(true, true), (true, false), (true, true), (true, false)]);
+        let last = Reading { present: false, since: Duration::ZERO };
+        hardware.presence = Some(Box::new(Chatters { clock: simulated.station.clock(), says, last }));
     };
     let world = |simulated: &Simulated| -> Box<dyn World> {
         let mut traffic = Traffic::new(&simulated.station, 3);
@@ -306,7 +320,7 @@ fn a_sensor_that_chatters_begins_one_cycle() {
         Box::new(traffic)
     };
     let mut bench = Bench::with(config, Script::default(), jobs(), change, Some(&world));
-    let told: Vec<Report> = (0..14).flat_map(|_| bench.turn()).collect();
+    let told: Vec<Report> = (0..24).flat_map(|_| bench.turn()).collect();
     let began = told.iter().filter(|r| matches!(r, Report::Began(_))).count();
     assert_eq!(began, 1);
     assert!(finished(&told).is_some());
@@ -344,13 +358,26 @@ fn check_explains_every_key_and_run_refuses_what_it_has_no_driver_for() {
         assert!(said.contains(&format!("\n{} ", key.name)) && said.contains(key.meaning), "{}", key.name);
     }
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR"));
-    let file = folder.join(format!("station-v4l2-{}.toml", std::process::id()));
-    std::fs::write(&file, "format = 1\n[camera]\nkind = \"v4l2\"\n").expect("writable");
+    let file = folder.join(format!("station-libcamera-{}.toml", std::process::id()));
+    let devices = r#"
+format = 1
+camera = { kind = "libcamera", device = "imx296" }
+projector = { kind = "v4l2-output", device = "/dev/video0" }
+[lights]
+kind = "gpio"
+left = "gpio/left"
+right = "gpio/right"
+left_pwm = "lamps.pwm/0"
+right_pwm = "lamps.pwm/1"
+"#;
+    std::fs::write(&file, devices).expect("writable");
     let name = file.to_str().expect("UTF-8");
     let (status, said, _) = datum(&["check", name]);
-    assert!(status == Some(0) && said.contains("kind = \"v4l2\"\n") && said.contains("without that driver"), "{said}");
+    assert!(status == Some(0) && said.contains("kind = \"libcamera\"\n"), "{said}");
+    assert!(said.contains("without that driver"), "{said}");
     let (status, _, said) = datum(&["run", "--config", name]);
-    assert!(status == Some(2) && said.contains("camera.kind = \"v4l2\": this datum is built without"), "{said}");
+    assert!(status == Some(2) && said.contains("camera.kind = \"libcamera\": this datum is built without"), "{said}");
+
     std::fs::write(&file, "format = 1\n[cycle]\nspeed = 1\n").expect("writable");
     let (status, _, said) = datum(&["check", name]);
     assert!(status == Some(2) && said.contains("line 3, `speed = 1`: unknown field `speed`"), "{said}");

@@ -34,6 +34,9 @@ struct Shown {
 struct Watched<P>(P, Arc<Mutex<Shown>>);
 
 impl<P: Projector> Projector for Watched<P> {
+    fn check(&mut self) -> Result<(), Error> {
+        self.0.check()
+    }
     fn size(&self) -> (usize, usize) {
         self.0.size()
     }
@@ -56,6 +59,9 @@ struct Facing<C> {
 }
 
 impl<C: Camera> Camera for Facing<C> {
+    fn check(&mut self) -> Result<(), Error> {
+        self.camera.check()
+    }
     fn sensor(&self) -> &Sensor {
         self.camera.sensor()
     }

@@ -3,11 +3,14 @@
 //! Not here: decoding. [`record`] makes captures.
 
 mod fringes;
+mod order;
 mod record;
 pub(crate) mod shoot;
 
 pub use record::{Plan, RecordError, record, record_while, write};
 pub use shoot::{Described, Devices, Light, SETS, ShootError, Shooting, Shots, pictures};
+
+pub use order::check_order;
 
 pub use fringes::{Fringes, TYPICAL_GAIN, coordinates, coordinates_reusing};
 

@@ -3,7 +3,7 @@
 //! Not here: when to record; how brightly to light (the caller gives the drives); what is done with the images.
 
 use super::shoot::{self, Described, FRINGE_LEVEL, RED_LEVEL, SETS, ShootError, Shooting, Shots};
-use super::{Capture, Conditions, Devices};
+use super::{Capture, Conditions, Devices, check_order};
 use crate::document;
 use crate::fringe::Axis;
 use crate::hal::Pool;
@@ -101,6 +101,9 @@ fn taken(
     let (fringe_light, _) = shooting.meter(FRINGE_LEVEL, START, METERED)?;
     shooting.show(None)?;
     let fringes = shooting.fringes(fringes, &mut |_, _| ())?;
+    let shots: Vec<&Image<u16>> = fringes.iter().map(|f| -> &Image<u16> { f }).collect();
+    let everywhere: Vec<usize> = (0..shots[0].pixels.len()).step_by(37).collect();
+    check_order(&plan.sets, &shots, &everywhere, &shooting.sensor, fringe_light.gain).map_err(ShootError::Order)?;
     let repeat = if plan.repeat {
         shooting.show(Some(0))?;
         Some(shooting.grab()?)

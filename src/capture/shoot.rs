@@ -51,6 +51,9 @@ pub enum ShootError {
         /// The one that came.
         found: u64,
     },
+    /// An image of another pattern than its own.
+    #[error("{0}")]
+    Order(String),
     /// Whoever asked for the images wants no more of them.
     #[error("stopped before the next image")]
     Stopped,

@@ -2,8 +2,10 @@
 //! on standard error, an exit status.
 
 mod calibrate;
+mod capture;
 mod check;
 mod dataset;
+mod doctor;
 mod measure;
 mod overlay;
 mod patterns;
@@ -11,6 +13,7 @@ mod records;
 mod registers;
 mod release;
 mod run;
+mod safe;
 mod simulate;
 mod teach;
 
@@ -31,6 +34,12 @@ enum Command {
     Run(run::Arguments),
     /// Checks a station's configuration and explains every key
     Check(check::Arguments),
+    /// Tests every device of a station and says what to do where one does not work
+    Doctor(doctor::Arguments),
+    /// Turns every output off: bars and projector dark, whatever state a killed program left them in
+    Safe(safe::Arguments),
+    /// Records one capture from the station's devices
+    Capture(capture::Arguments),
     /// Measures stored captures
     Measure(measure::Arguments),
     /// Makes a vehicle model with templates from one good capture
@@ -70,6 +79,9 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
     match arguments.command {
         Command::Run(a) => run::run(&a),
         Command::Check(a) => check::run(&a),
+        Command::Doctor(a) => doctor::run(&a),
+        Command::Safe(a) => safe::run(&a),
+        Command::Capture(a) => capture::run(&a),
         Command::Measure(a) => measure::run(&a),
         Command::Teach(a) => teach::run(&a),
         Command::Release(a) => release::run(&a),
@@ -89,6 +101,17 @@ fn print(text: &str) -> anyhow::Result<()> {
         Err(e) if e.kind() != std::io::ErrorKind::BrokenPipe => Err(e).context("standard output"),
         _ => Ok(()),
     }
+}
+
+/// An error with its causes, as a sentence.
+fn sentence(e: &dyn std::error::Error) -> String {
+    let mut said = e.to_string();
+    let mut cause = e.source();
+    while let Some(e) = cause {
+        said += &format!(": {e}");
+        cause = e.source();
+    }
+    said + "."
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use crate::capture::{FringeSet, Projector};
 use crate::document;
 use crate::fringe::{Axis, PatternSet};
 use crate::image::write_png;
+use crate::station::stored_pictures;
 use anyhow::Context;
 use std::path::PathBuf;
 
@@ -17,6 +18,10 @@ pub(super) struct Arguments {
     /// The folder to write into
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Writes what a projector that stores its pictures is to hold, in the order of the names: black, an even grey, the
+    /// fringes in the order of a cycle, then row fringes for boards
+    #[arg(long)]
+    stored: bool,
     /// Takes the projector's size from this calibration; without it: 1280×800
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
@@ -36,6 +41,14 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     let finest = SETS[2].0; // two pixels a period are the least that can be shown
     anyhow::ensure!(finest as usize * 2 <= width, "{finest} fringes need a projector of {} columns", finest * 2);
     std::fs::create_dir_all(&a.out).with_context(|| format!("{}: cannot be made", a.out.display()))?;
+    if a.stored {
+        let pictures = stored_pictures(width, height);
+        for (k, picture) in pictures.iter().enumerate() {
+            write_png(&a.out.join(format!("{k:03}.png")), picture)?;
+        }
+        print(&format!("{}: {} pictures of {width}×{height} to be stored\n", a.out.display(), pictures.len()))?;
+        return Ok(Status::Done);
+    }
     let mut fringes = Vec::new();
     for (count, steps) in SETS {
         let set = PatternSet::new(Axis::Column, count, steps)?;

@@ -7,6 +7,7 @@
 //! an error a device is as its docstring says, and a caller may go on or give up, but never has to guess.
 
 mod error;
+pub mod linux;
 mod pool;
 
 pub use error::Error;
@@ -65,6 +66,9 @@ pub trait Camera {
     /// size. After an error the content of `image` is undefined and the camera is ready: the next call starts clean, and
     /// an image that comes too late is never taken for the next one.
     fn grab(&mut self, timeout: Duration, image: &mut Image<u16>) -> Result<Exposure, Error>;
+
+    /// Whether it is there, at once: what the station asks while it waits for a vehicle.
+    fn check(&mut self) -> Result<(), Error>;
 }
 
 /// A projector that shows stored pictures. Its light is on only while a picture is shown.
@@ -79,6 +83,9 @@ pub trait Projector {
     /// Shows a stored picture, by its place in [`Self::load`], or nothing, and returns when its light is on and steady.
     /// After an error it shows nothing, or what it showed before: ask for nothing to be sure.
     fn show(&mut self, picture: Option<usize>) -> Result<(), Error>;
+
+    /// Whether it is there, at once, as far as that can be told without light.
+    fn check(&mut self) -> Result<(), Error>;
 }
 
 /// The two dimmable red light bars.
@@ -88,10 +95,27 @@ pub trait LightBars {
     fn set(&mut self, drive: [f64; 2]) -> Result<[f64; 2], Error>;
 }
 
+/// What the presence sensor says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reading {
+    /// A vehicle is there.
+    pub present: bool,
+    /// Since when the sensor has said so without a break, on the station's [`Clock`]: a contact that bounced meanwhile
+    /// has not said so all the time.
+    pub since: Duration,
+}
+
+impl Reading {
+    /// Whether it has said so for `debounce`.
+    pub fn steady(&self, now: Duration, debounce: Duration) -> bool {
+        now.saturating_sub(self.since) >= debounce
+    }
+}
+
 /// The sensor that says whether a vehicle stands where it can be measured.
 pub trait Presence {
-    /// Blocks until a vehicle is there (`true`) or gone (`false`), or `timeout` has passed. Returns whether one is there.
-    fn wait(&mut self, present: bool, timeout: Duration) -> Result<bool, Error>;
+    /// Blocks until a vehicle is there (`true`) or gone (`false`), or `timeout` has passed. Returns what the sensor says.
+    fn wait(&mut self, present: bool, timeout: Duration) -> Result<Reading, Error>;
 }
 
 /// The station's time: monotonic, from an origin of its own.

@@ -8,6 +8,7 @@
 //! records/
 //!   lock                             held by the one writer
 //!   journal-00000000000000000001     segments, each named for its first id; the oldest go first
+//!   light.toml                       how long the bars have been lit
 //!   captures/0000000042/             the raw images of record 42, with the calibration and model they were measured by
 //! ```
 

@@ -12,7 +12,7 @@ use super::sensor::{Take, expose};
 use super::setup::{MAX_GAIN, Setup};
 use super::{Deviation, body::Body, paint::Paint};
 use crate::geometry::{EulerDeg, Pose, frame};
-use crate::hal::{self, Error, Exposure, Sensor};
+use crate::hal::{self, Error, Exposure, Reading, Sensor};
 use crate::image::Image;
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -123,7 +123,7 @@ impl Station {
 
     /// The presence sensor.
     pub fn presence(&self) -> Presence {
-        Presence(self.clone())
+        Presence { world: self.clone(), last: Reading { present: false, since: Duration::ZERO } }
     }
 
     /// The clock.
@@ -307,6 +307,12 @@ impl hal::Camera for Camera {
         Ok(world.gain)
     }
 
+    fn check(&mut self) -> Result<(), Error> {
+        let world = self.world.world();
+        let gone = world.script.at(world.now, None).any(|f| *f == Fault::CameraGone);
+        if gone { Err(Error::Gone { device: Self::NAME.into() }) } else { Ok(()) }
+    }
+
     fn grab(&mut self, timeout: Duration, image: &mut Image<u16>) -> Result<Exposure, Error> {
         let mut world = self.world.world();
         let world = &mut *world;
@@ -402,6 +408,11 @@ impl hal::Projector for Projector {
         world.now += SHOW;
         Ok(())
     }
+
+    /// It takes requests whatever it does with them.
+    fn check(&mut self) -> Result<(), Error> {
+        Ok(())
+    }
 }
 
 /// A handle on the simulated light bars.
@@ -423,19 +434,25 @@ impl hal::LightBars for Bars {
 
 /// A handle on the simulated presence sensor.
 #[derive(Debug)]
-pub struct Presence(Station);
+pub struct Presence {
+    world: Station,
+    last: Reading,
+}
 
 /// The presence sensor is asked this often.
 const POLL: Duration = Duration::from_millis(5);
 
 impl hal::Presence for Presence {
-    fn wait(&mut self, present: bool, timeout: Duration) -> Result<bool, Error> {
-        let mut world = self.0.world();
+    fn wait(&mut self, present: bool, timeout: Duration) -> Result<Reading, Error> {
+        let mut world = self.world.world();
         let deadline = world.now.saturating_add(timeout);
         while world.present(world.now) != present && world.now < deadline {
             world.now = (world.now + POLL).min(deadline);
         }
-        Ok(world.present(world.now))
+        if world.present(world.now) != self.last.present {
+            self.last = Reading { present: !self.last.present, since: world.now };
+        }
+        Ok(self.last)
     }
 }
 

@@ -12,7 +12,7 @@ use super::hardware::Hardware;
 use super::jobs::Job;
 use super::light::{self, Bars, Wrong};
 use crate::capture::shoot::{FRINGE_LEVEL, RED_LEVEL, brighter, place, quartile};
-use crate::capture::{Capture, Conditions, Described, Light, SETS, ShootError, Shooting, Shots};
+use crate::capture::{Capture, Conditions, Described, Light, SETS, ShootError, Shooting, Shots, check_order};
 use crate::code::Code;
 use crate::fringe::Axis;
 use crate::hal::{self, Buffer, Pool, Sensor};
@@ -30,8 +30,9 @@ use std::time::{Duration, Instant};
 pub(super) const SHOWN: [(Axis, u32, u32); 3] = [SETS[2], SETS[1], SETS[0]];
 /// A try ends this long after its last image was due, whatever happens: a retried image, the lights' own time.
 pub const LIMIT: Duration = Duration::from_millis(600);
-/// An image that has not come this long after the longest exposure is missing.
+/// An image that has not come this long after the longest exposure is missing, or so many of a camera's intervals.
 const TIMEOUT: Duration = Duration::from_millis(150);
+const INTERVALS: f64 = 4.0;
 /// Images that may be asked for once more in one try.
 const RETRIES: usize = 3;
 /// The upper quartile is right within this share of what is aimed at.
@@ -72,6 +73,15 @@ impl Bracket {
 pub(super) struct Settings {
     pub(super) longest: Duration,
     pub(super) ambient_limit: f64,
+    /// See [`timeout`].
+    pub(super) timeout: Duration,
+    /// Of the camera and the projector, as far as known.
+    pub(super) celsius: [Option<f64>; 2],
+}
+
+/// How long an image may take beside its exposure, from a camera of `rate` images per second.
+pub(super) fn timeout(rate: f64) -> Duration {
+    TIMEOUT.max(Duration::from_secs_f64(INTERVALS / rate))
 }
 
 /// What the acting thread must know between images.
@@ -183,8 +193,11 @@ impl From<ShootError> for Ended {
     fn from(e: ShootError) -> Self {
         let code = match &e {
             ShootError::Stopped => return Self::Stopped,
-            ShootError::Camera(hal::Error::NoImage { .. } | hal::Error::HalfImage { .. }) => Code::ImageMissing,
+            ShootError::Camera(
+                hal::Error::NoImage { .. } | hal::Error::HalfImage { .. } | hal::Error::Damaged { .. },
+            ) => Code::ImageMissing,
             ShootError::Camera(_) => Code::CameraLost,
+            ShootError::Projector(hal::Error::Pulses { .. }) | ShootError::Order(_) => Code::Synchronisation,
             ShootError::Projector(_) => Code::ProjectorSilent,
             ShootError::Lights(_) => Code::LightFault,
             ShootError::Sequence { before, found } if found > before => Code::ImageMissing,
@@ -216,7 +229,7 @@ impl Try<'_> {
         let watch = RefCell::new(watch);
         let mut go_on = || watch.borrow_mut().go_on();
         let mut devices = hardware.devices();
-        let limits = (self.settings.longest, TIMEOUT);
+        let limits = (self.settings.longest, self.settings.timeout);
         let mut shooting = Shooting::new(&mut devices, pool, limits, RETRIES, &mut go_on);
         let s = &mut shooting;
         let sensor = s.sensor.clone();
@@ -245,7 +258,7 @@ impl Try<'_> {
         followed(&lit)?;
         // in a bright hall there is room above the even grey: a fringe's own light is all that counts
         let mut fringe_light = tried;
-        let seen = light::means([&grey, &dark], lit.into_iter(), &sensor);
+        let seen = light::means([&grey, &dark], lit.iter().copied(), &sensor);
         let more = seen.map_or(1.0, |[grey, dark]| FRINGE_PEAK * self.bracket.fringes / (2.0 * grey - dark));
         if more > ROOM {
             fringe_light = s.expose(tried.strength() * more)?;
@@ -255,6 +268,8 @@ impl Try<'_> {
             let conditions = Conditions {
                 bar_left: Some(red.drive[0]),
                 bar_right: Some(red.drive[1]),
+                camera_temperature_c: self.settings.celsius[0],
+                projector_temperature_c: self.settings.celsius[1],
                 job: Some(self.job.number),
                 ..Conditions::default()
             };
@@ -287,6 +302,8 @@ impl Try<'_> {
             let fringes = s.fringes(n, &mut |k, shot| {
                 let _ = feed.send(Feed::Fringe(k, Arc::clone(shot))); // where nobody takes it, the result says why
             })?;
+            let shots: Vec<&Image<u16>> = fringes.iter().map(|f| -> &Image<u16> { f }).collect();
+            let ordered = check_order(&SHOWN, &shots, &lit, &sensor, fringe_light.gain);
             let panel: Vec<usize> = said.recv().unwrap_or_default();
             attempt.budget.fringes = n + 1;
             if !panel.is_empty() {
@@ -331,7 +348,14 @@ impl Try<'_> {
             attempt.computed = began.elapsed();
             let failed = |said| Ended::Failed(Wrong { code: Code::Watchdog, detail: 0, said });
             let ended = || failed("Measuring ended without a result.".into());
-            measured.map_err(|panic| failed(format!("Measuring failed: {panic}."))).and_then(|m| m.ok_or_else(ended))
+            let measured = measured
+                .map_err(|panic| failed(format!("Measuring failed: {panic}.")))
+                .and_then(|m| m.ok_or_else(ended));
+            // a vehicle that moved puts images off their sines, too, and that is what a person must be told
+            match (measured, ordered) {
+                (Ok(m), Err(said)) if m.code != Some(Code::Moved) => Err(ShootError::Order(said).into()),
+                (measured, _) => measured,
+            }
         })
     }
 

@@ -4,6 +4,25 @@
 use crate::capture::Devices;
 use crate::code::Code;
 use crate::hal;
+use crate::hal::linux::Thermometer;
+
+/// What tells how warm it is; none: nobody knows.
+#[derive(Clone, Debug, Default)]
+pub struct Temperatures {
+    /// The computer.
+    pub computer: Option<Thermometer>,
+    /// The camera.
+    pub camera: Option<Thermometer>,
+    /// The projector.
+    pub projector: Option<Thermometer>,
+}
+
+impl Temperatures {
+    /// °C of computer, camera, projector; a sensor that does not answer is not known.
+    pub fn read(&self) -> [Option<f64>; 3] {
+        [&self.computer, &self.camera, &self.projector].map(|t| t.as_ref().and_then(|t| t.read().ok()))
+    }
+}
 
 /// All devices of a station. When dropped, bars and projector are off.
 pub struct Hardware {
@@ -15,6 +34,8 @@ pub struct Hardware {
     pub bars: Box<dyn hal::LightBars + Send>,
     /// Whether a vehicle is there; none: nobody knows.
     pub presence: Option<Box<dyn hal::Presence + Send>>,
+    /// How warm it is.
+    pub temperatures: Temperatures,
     /// Whether the devices are simulated: time passes for their sake only.
     pub simulated: bool,
 }

@@ -6,6 +6,7 @@ use super::acquire::{self, Attempt, Bracket, Budget, Ended, Settings, Start, Wat
 use super::config::{StationFile, TriggerKind};
 use super::counters::Durations;
 use super::hardware::Hardware;
+use super::hours::Hours;
 use super::jobs::{Entry, Job, Jobs};
 use super::light::Wrong;
 use super::outcome;
@@ -16,7 +17,7 @@ use crate::calibrate::Calibration;
 use crate::capture::{RecordError, Shots, write};
 use crate::code::Code;
 use crate::geometry::{Pose, frame};
-use crate::hal::{Clock, Pool};
+use crate::hal::{Clock, Pool, Reading};
 use crate::measure::Measurement;
 use crate::plc::{
     Counters, Order, OrderKind, Outcome, Pulse, Report, ResultCode, State as Mode, Status, Trigger, Verification,
@@ -34,6 +35,10 @@ const TICK: Duration = Duration::from_millis(100);
 const RETRY: Duration = Duration::from_secs(1);
 /// The status is told so often, changed or not.
 const STATUS: Duration = Duration::from_secs(1);
+/// Whether camera and projector are still there is asked so often while nothing goes on, and how warm it is.
+const CHECK: Duration = Duration::from_secs(1);
+/// Hours of light are kept so often: no more are lost when the power goes.
+const KEEP_HOURS: Duration = Duration::from_secs(600);
 /// Images of one capture, those of its light among them.
 const POOL: usize = 26;
 /// Where the first vehicle's light is looked for, s of gain 1.
@@ -63,6 +68,8 @@ pub trait Store: Send {
     fn note(&mut self, note: Note);
     /// Share of the storage that is free, 0 to 1.
     fn free(&self) -> Option<f64>;
+    /// Keeps how long the bars have been lit, hours.
+    fn keep_hours(&mut self, hours: [f64; 2]);
 }
 
 /// What else is kept.
@@ -91,6 +98,7 @@ impl Store for NoStore {
     fn free(&self) -> Option<f64> {
         None
     }
+    fn keep_hours(&mut self, _: [f64; 2]) {}
 }
 
 /// A cycle's end, for records and people.
@@ -142,6 +150,8 @@ pub struct Parts {
     pub store: Box<dyn Store>,
     /// What was counted since the beginning of the records.
     pub counters: Counters,
+    /// How long the bars have been lit.
+    pub hours: Hours,
     /// Goes up while the station lives.
     pub pulse: Arc<Pulse>,
     /// True: end.
@@ -161,13 +171,15 @@ pub struct Machine {
     active: Option<u16>,
     /// The vehicle that comes by itself, of this job.
     coming: Option<u16>,
-    /// Since when the sensor has said what it says.
-    presence: (bool, Duration),
+    /// What the presence sensor says.
+    presence: Reading,
     /// A vehicle that stands there has been measured, or need not be.
     seen: bool,
     durations: Durations,
     began: Duration,
     tested_at: Duration,
+    checked_at: Duration,
+    hours_kept_at: Duration,
     verified_at: Option<Duration>,
     /// Orders that came while something went on and are to be carried out after it.
     pending: VecDeque<Order>,
@@ -205,11 +217,13 @@ impl Machine {
             starts: HashMap::new(),
             active: None,
             coming: None,
-            presence: (false, now),
+            presence: Reading { present: false, since: now },
             seen: false,
             durations: Durations::default(),
             began: now,
             tested_at: now,
+            checked_at: now,
+            hours_kept_at: now,
             verified_at: None,
             pending: VecDeque::new(),
             booted: false,
@@ -229,6 +243,7 @@ impl Machine {
         self.parts.pulse.beat();
         if self.parts.stop.load(Ordering::Relaxed) {
             let _ = self.parts.hardware.dark(); // dropping tries again
+            self.parts.store.keep_hours(self.parts.hours.get());
             return false;
         }
         if !self.booted {
@@ -283,22 +298,44 @@ impl Machine {
         if self.state.mode == Mode::Fault && now >= self.tested_at + RETRY {
             self.happened(Event::Retry);
         }
+        if now >= self.checked_at + CHECK {
+            self.checked_at = now;
+            self.check_devices();
+        }
+        if now >= self.hours_kept_at + KEEP_HOURS {
+            self.hours_kept_at = now;
+            self.parts.store.keep_hours(self.parts.hours.get());
+        }
+    }
+
+    /// A device that was unplugged is missed before the next vehicle does.
+    fn check_devices(&mut self) {
+        let hardware = &mut self.parts.hardware;
+        let s = &mut self.status;
+        [s.computer_celsius, s.camera_celsius, s.projector_celsius] = hardware.temperatures.read();
+        if !matches!(self.state.mode, Mode::Ready | Mode::WarmUp) {
+            return;
+        }
+        let camera = hardware.camera.check().map_err(|e| (Code::CameraLost, e));
+        let gone = camera.and_then(|()| hardware.projector.check().map_err(|e| (Code::ProjectorSilent, e)));
+        if let Err((code, e)) = gone {
+            tracing::warn!(code = code.number(), "{e}");
+            self.happened(Event::Tested(Err(code)));
+        }
     }
 
     /// A vehicle counts as there, or gone, once the sensor has said so for a while.
     fn watch_vehicles(&mut self) {
         let Some(sensor) = &mut self.parts.hardware.presence else { return };
         let now = self.parts.clock.now();
-        let Ok(there) = sensor.wait(true, Duration::ZERO) else { return };
-        if there != self.presence.0 {
-            self.presence = (there, now);
-        }
-        let steady = now >= self.presence.1 + Duration::from_millis(self.parts.config.presence.debounce_ms);
-        self.status.vehicle_present = self.presence.0;
-        if !there && steady {
+        let Ok(reading) = sensor.wait(true, Duration::ZERO) else { return };
+        self.presence = reading;
+        let steady = reading.steady(now, Duration::from_millis(self.parts.config.presence.debounce_ms));
+        self.status.vehicle_present = reading.present;
+        if !reading.present && steady {
             self.seen = false;
         }
-        if there && steady && !self.seen {
+        if reading.present && steady && !self.seen {
             self.seen = true;
             self.happened(Event::Arrived);
         }
@@ -313,7 +350,7 @@ impl Machine {
             ByItself::Unowned => !self.state.owned,
             ByItself::Always => true,
         };
-        let none_comes = self.coming.is_none() && !self.presence.0;
+        let none_comes = self.coming.is_none() && !self.presence.present;
         if waits
             && wanted
             && none_comes
@@ -355,7 +392,8 @@ impl Machine {
                     self.loaded = tested.is_ok();
                 }
                 if tested.is_ok() && (self.parts.config.cycle.self_test || self.state.fault.is_some()) {
-                    tested = selftest::test(&mut self.parts.hardware, &self.pool);
+                    let pulse = &self.parts.pulse;
+                    tested = selftest::test(&mut self.parts.hardware, &self.pool, &|| pulse.beat());
                 }
                 self.tested_at = self.parts.clock.now();
                 Some(Event::Tested(tested))
@@ -410,6 +448,7 @@ impl Machine {
         s.not_ready.no_job = job.is_none();
         s.active_job = active.unwrap_or(0);
         s.job_fingerprint = job.map_or(0, |j| j.fingerprint);
+        s.light_hours = self.parts.hours.get();
         s.bars_on = matches!(state.mode, Mode::Acquiring | Mode::Verify | Mode::SelfTest);
         s.projector_on = s.bars_on;
         s.disk_free = self.parts.store.free();
@@ -502,7 +541,7 @@ impl Machine {
                 return None;
             }
         };
-        if cause == Cause::Ordered && self.status.presence_fitted && !self.presence.0 {
+        if cause == Cause::Ordered && self.status.presence_fitted && !self.presence.present {
             self.tell(Report::Refused { order: OrderKind::Measure, code: Code::NoVehicle, detail: 0 });
             return None;
         }
@@ -528,6 +567,8 @@ impl Machine {
         let settings = Settings {
             longest: Duration::from_secs_f64(self.parts.config.camera.longest_ms / 1e3),
             ambient_limit: self.parts.config.cycle.ambient_limit,
+            timeout: acquire::timeout(self.parts.config.camera.rate),
+            celsius: [self.status.camera_celsius, self.status.projector_celsius],
         };
         let drive = self.parts.config.lights.drive;
         let mut start =
@@ -606,6 +647,7 @@ impl Machine {
         let computed = if self.parts.hardware.simulated { attempt.computed } else { Duration::ZERO };
         outcome.light = Some(attempt.drive);
         outcome.ambient = attempt.ambient;
+        [outcome.camera_celsius, outcome.projector_celsius] = settings.celsius;
         outcome.acquisition = taken_at.map(|at| at.saturating_sub(triggered));
         outcome.total = Some(now.saturating_sub(triggered) + computed);
         outcome.taken_at_ms = taken_at_ms;

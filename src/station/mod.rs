@@ -8,7 +8,10 @@
 mod acquire;
 mod config;
 mod counters;
+mod devices;
+mod doctor;
 mod hardware;
+mod hours;
 mod jobs;
 mod light;
 mod machine;
@@ -20,11 +23,16 @@ mod verify;
 
 pub use acquire::{Budget, LIMIT};
 pub use config::{
-    ArtefactKeys, CameraKeys, CameraKind, CycleKeys, JobsKeys, KEYS, Key, LightsKeys, LightsKind, PlcKeys,
-    PresenceKeys, PresenceKind, ProjectorKeys, ProjectorKind, RecordsKeys, SimulationKeys, StationFile, TriggerKind,
+    ArtefactKeys, CameraKeys, CameraKind, CameraTrigger, CycleKeys, JobsKeys, KEYS, Key, LightsKeys, LightsKind,
+    PixelFormat, PlcKeys, PresenceKeys, PresenceKind, ProjectorKeys, ProjectorKind, RecordsKeys, SimulationKeys,
+    StationFile, TemperatureKeys, TriggerKind,
 };
 pub use counters::Durations;
-pub use hardware::Hardware;
+pub use devices::{bars, camera, dark, fits, presence, projector, real, temperatures};
+pub use doctor::{Finding, Health, examine};
+pub use hardware::{Hardware, Temperatures};
+pub use hours::Hours;
 pub use jobs::{Entry, Job, Jobs, Unusable, load, load_all};
 pub use machine::{Finished, Machine, NoStore, Note, Pace, Parts, Store, WriteImages};
+pub use selftest::{ROWS, stored_pictures};
 pub use simulated::{Simulated, Traffic, World, deviation, missing, outdated, teach_one};

@@ -2,7 +2,7 @@
 //! In: scale and seed. Out: devices of `hal`; vehicles that come by themselves or when asked for; a jobs folder.
 //! Not here: anything that a station with real devices would do otherwise.
 
-use super::hardware::Hardware;
+use super::hardware::{Hardware, Temperatures};
 use super::jobs::is_of_other_version;
 use crate::calibrate::Calibration;
 use crate::capture::{Devices, Plan, record};
@@ -57,6 +57,7 @@ impl Simulated {
             projector: Box::new(self.station.projector()),
             bars: Box::new(self.station.bars()),
             presence: Some(Box::new(self.station.presence())),
+            temperatures: Temperatures::default(),
             simulated: true,
         }
     }

@@ -14,7 +14,7 @@ use crate::plc::Verification;
 use std::path::Path;
 
 /// Both axes: a board tells the epipolar residual, too.
-const SETS: [(Axis, u32, u32); 6] = [
+pub(super) const SETS: [(Axis, u32, u32); 6] = [
     (Axis::Column, 1, 4),
     (Axis::Column, 8, 4),
     (Axis::Column, 64, 4),

@@ -126,6 +126,7 @@ impl Bench {
             store: Box::new(NoStore),
             pulse: Arc::default(),
             counters: datum::plc::Counters::default(),
+            hours: datum::station::Hours::default(),
             stop: Arc::clone(&stop),
             pace: Pace::Free,
             config,

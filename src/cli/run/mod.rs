@@ -6,12 +6,15 @@ mod models;
 mod store;
 mod view;
 
-use super::Status;
+use super::{Status, sentence};
 use crate::Calibration;
+use crate::hal::linux::MonotonicClock;
 use crate::measure::Shared;
 use crate::plc::{self, Identity, ORDERS, Report, Server, State};
 use crate::records::Fault;
-use crate::station::{Hardware, Machine, Pace, Parts, Simulated, StationFile, Store, Traffic, TriggerKind, load_all};
+use crate::station::{
+    self, Hardware, Hours, Machine, Pace, Parts, Simulated, StationFile, Store, Traffic, TriggerKind, load_all,
+};
 use anyhow::Context;
 use sd_notify::NotifyState;
 use signal_hook::consts::{SIGINT, SIGTERM};
@@ -43,7 +46,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Why a station of such devices cannot run.
 pub(super) fn not_built(key: &str) -> String {
-    format!("{key}: this datum is built without that driver; it comes with the drivers. Allowed so far: \"simulated\"")
+    format!("{key}: this datum is built without that driver. Allowed: \"v4l2\", \"simulated\"")
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
@@ -58,14 +61,16 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     let view = View::new();
     log(a.verbose, &view);
 
-    let simulated = Simulated::new(config.simulation.scale, config.simulation.seed);
-    let calibration = match &config.calibration {
-        Some(file) => Calibration::read(&config.beside(file))?,
-        None => simulated.calibration(),
+    let simulated = config.is_simulated().then(|| Simulated::new(config.simulation.scale, config.simulation.seed));
+    let calibration = match (&config.calibration, &simulated) {
+        (Some(file), _) => Calibration::read(&config.beside(file))?,
+        (None, Some(simulated)) => simulated.calibration(),
+        (None, None) => {
+            anyhow::bail!("{}: calibration = (missing), allowed: a calibration.toml", config.file.display())
+        }
     };
-    let identity = identity(&config, &calibration, &simulated);
     let records = config.beside(&config.records.folder);
-    let kept = store::Kept::open(&records, &config.records, &calibration, identity.calibration_fingerprint);
+    let kept = store::Kept::open(&records, &config.records, &calibration, fingerprint(&calibration));
     let kept = match kept {
         Ok(kept) => kept,
         Err(held @ Fault::Held { .. }) => {
@@ -74,8 +79,29 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         }
         Err(fault) => return Err(fault.into()),
     };
+    let mut hardware = match &simulated {
+        Some(simulated) => simulated.hardware(),
+        None => match station::real(&config) {
+            Ok(hardware) => hardware,
+            Err(e) => {
+                let _ = station::dark(&config); // as far as can be; the first error is told
+                eprintln!("error: {} `datum doctor` says more.", sentence(&e));
+                return Ok(Status::Device);
+            }
+        },
+    };
+    let (sensor, projector) = (hardware.camera.sensor(), hardware.projector.size());
+    if let Err(said) = station::fits(&calibration, (sensor.width, sensor.height), projector) {
+        anyhow::bail!("{}: {said}", config.file.display());
+    }
+    let hours = Hours::new(kept.hours());
+    hours.count(&mut hardware.bars);
+    let identity = identity(&config, &calibration, &hardware);
     let shared = Shared { detector: config.read_detector()?, ..Shared::default() };
-    let more_jobs = models::models(&simulated, &config, &calibration, shared.clone(), &stop)?;
+    let more_jobs = match &simulated {
+        Some(simulated) => Some(models::models(simulated, &config, &calibration, shared.clone(), &stop)?),
+        None => None,
+    };
     let (order, orders) = mpsc::sync_channel(ORDERS);
     let (reported, reports) = mpsc::channel();
     let pulse = Arc::new(plc::Pulse::default());
@@ -90,18 +116,17 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     }
     view.say(&format!("{}: {} jobs ready", folder.display(), jobs.usable().count()));
 
-    let hardware: Hardware = simulated.hardware();
     let allowed_ms = config.cycle.acquire_ms;
     let (mut count, limit) = (0, a.vehicles);
     let (done, seen, told) = (Arc::clone(&stop), view.clone(), view.clone());
     let mut ready = false;
     let parts = Parts {
         hardware,
-        clock: simulated.clock(),
-        world: Some(Box::new(Traffic::new(&simulated.station, config.simulation.seed))),
+        clock: simulated.as_ref().map_or_else(|| Box::new(MonotonicClock) as _, Simulated::clock),
+        world: simulated.as_ref().map(|s| Box::new(Traffic::new(&s.station, config.simulation.seed)) as _),
         calibration,
         jobs,
-        more_jobs: Some(more_jobs),
+        more_jobs,
         orders,
         report: Box::new(move |report| {
             match &report {
@@ -127,14 +152,15 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
             }
         }),
         counters: kept.counters(),
+        hours,
         store: Box::new(kept) as Box<dyn Store>,
         pulse: Arc::clone(&pulse),
         stop: Arc::clone(&stop),
         pace: Pace::Wall,
         config,
     };
-    let station = std::thread::Builder::new().name("station".into()).spawn(move || Machine::new(parts).run());
-    let station = station.context("the station's thread")?;
+    let thread = std::thread::Builder::new().name("station".into()).spawn(move || Machine::new(parts).run());
+    let station = thread.context("the station's thread")?;
     let (mut beats, mut moved) = (pulse.count(), Instant::now());
     while !station.is_finished() {
         std::thread::sleep(LOOK);
@@ -181,8 +207,13 @@ fn server(config: &StationFile) -> anyhow::Result<plc::Config> {
     })
 }
 
-fn identity(config: &StationFile, calibration: &Calibration, simulated: &Simulated) -> Identity {
-    let crc = |bytes: &[u8]| crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes);
+/// CRC-32 of the calibration's file; 0: it has none.
+fn fingerprint(calibration: &Calibration) -> u32 {
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+    std::fs::read(&calibration.file).map_or(0, |bytes| crc.checksum(&bytes))
+}
+
+fn identity(config: &StationFile, calibration: &Calibration, hardware: &Hardware) -> Identity {
     // the date that its id begins with
     let date = calibration.id.as_deref().and_then(|id| id.get(..10)).map(|d| d.replace('-', ""));
     let version = env!("CARGO_PKG_VERSION");
@@ -190,9 +221,9 @@ fn identity(config: &StationFile, calibration: &Calibration, simulated: &Simulat
         serial: config.serial.clone(),
         version: version.into(),
         software_fingerprint: crc::Crc::<u16>::new(&crc::CRC_16_MODBUS).checksum(version.as_bytes()),
-        camera_serial: simulated.hardware().camera.sensor().serial.clone(),
+        camera_serial: hardware.camera.sensor().serial.clone(),
         projector_serial: String::new(),
-        calibration_fingerprint: std::fs::read(&calibration.file).map_or(0, |bytes| crc(&bytes)),
+        calibration_fingerprint: fingerprint(calibration),
         calibration_date: date.and_then(|d| d.parse().ok()).unwrap_or(0),
     }
 }

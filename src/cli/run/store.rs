@@ -7,10 +7,19 @@ use crate::records::{
     Alarm, Boot, Captures, Event, Fault, Limits, Policy, Recorder, Reference, Totals, Vehicle, Verdict, Verification,
 };
 use crate::station::{Finished, Job, Note, RecordsKeys, Store, WriteImages};
-use crate::{Code, time};
-use std::path::Path;
+use crate::{Code, document, time};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
+
+/// What light.toml in the records holds: how long the bars have been lit.
+#[derive(Clone, Copy, Debug, Default, serde::Deserialize, serde::Serialize)]
+#[serde(deny_unknown_fields)]
+struct Light {
+    format: u32,
+    left_h: f64,
+    right_h: f64,
+}
 
 /// Journal and ring of one station.
 pub(super) struct Kept {
@@ -19,6 +28,8 @@ pub(super) struct Kept {
     calibration: Calibration,
     calibration_fingerprint: u32,
     policy: Policy,
+    /// The file of the hours of light.
+    light: PathBuf,
     /// Of the job that was kept last: models seldom change.
     reference: Option<(u32, Arc<Reference>)>,
 }
@@ -46,6 +57,7 @@ impl Kept {
             calibration: calibration.clone(),
             calibration_fingerprint,
             policy: Policy { nth_good: keys.keep_every },
+            light: folder.join("light.toml"),
             reference: None,
         };
         let _ = kept.event(Event::Boot(Boot::default())); // told by the next result
@@ -71,6 +83,12 @@ impl Kept {
             boots,
             ..Counters::default()
         }
+    }
+
+    /// How long the bars had been lit when that was last kept, hours; 0 where nobody knows.
+    pub(super) fn hours(&self) -> [f64; 2] {
+        let read: Result<Light, _> = document::read(&self.light);
+        read.map_or([0.0; 2], |l| [l.left_h, l.right_h].map(|h| if h.is_finite() { h.max(0.0) } else { 0.0 }))
     }
 
     fn event(&mut self, event: Event) -> Result<u64, Code> {
@@ -157,5 +175,12 @@ impl Store for Kept {
 
     fn free(&self) -> Option<f64> {
         self.recorder.space().map(|space| space.share())
+    }
+
+    fn keep_hours(&mut self, hours: [f64; 2]) {
+        let content = Light { format: document::FORMAT, left_h: hours[0], right_h: hours[1] };
+        if let Err(e) = document::write(&self.light, &content) {
+            tracing::warn!("{e}");
+        }
     }
 }
