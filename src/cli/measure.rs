@@ -37,7 +37,8 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
-    anyhow::ensure!(a.method == Method::Points, "--method {}: not available yet, allowed: points", name(a.method));
+    let there = a.method != Method::Published;
+    anyhow::ensure!(there, "--method {}: not available yet, allowed: points, dense", name(a.method));
     let calibration = Calibration::read(&a.calibration)?;
     let vehicle = VehicleFile::read(&a.vehicle)?;
     let detector = Detector::named(&a.detector)?;
@@ -74,7 +75,10 @@ fn one(
         let calibration = calibration
             .for_sizes(sizes[0], sizes[1], a.scale_calibration)
             .map_err(|e| anyhow::Error::new(e).context(capture.file().display().to_string()))?;
-        *ready = Some((sizes, Measurer::new(calibration, vehicle.clone())?.with_detector(detector.clone())));
+        *ready = Some((
+            sizes,
+            Measurer::new(calibration, vehicle.clone())?.with_method(a.method).with_detector(detector.clone()),
+        ));
     }
     let (_, measurer) = ready.as_ref().expect("made just now");
     let mut clock = Clock::new();

@@ -72,6 +72,8 @@ pub(crate) fn why_no_depth(states: &[State], usable: usize) -> Code {
 pub(crate) struct Patch {
     pub(crate) surface: Surface<frame::Camera>,
     pub(crate) coverage: f64,
+    /// What it was fitted to.
+    pub(crate) cells: Vec<Cell>,
 }
 
 /// Sums of one cell.
@@ -388,11 +390,12 @@ impl Samples {
                 sums.add(c, *variance);
             }
         }
-        let surface = fit(&sums.cells()).ok_or(Code::CoverageLow)?;
+        let cells = sums.cells();
+        let surface = fit(&cells).ok_or(Code::CoverageLow)?;
         if surface.misfit_mm > MAX_MISFIT_MM {
             return Err(Code::NotSmooth);
         }
-        Ok(Patch { surface, coverage })
+        Ok(Patch { surface, coverage, cells })
     }
 }
 

@@ -11,7 +11,7 @@ use super::light::{Light, saturated_share};
 use super::locate::{Located, locate};
 use super::moved::Motion;
 use super::regions::Region;
-use super::{Drawing, Measurement, Measurer, TYPICAL_DISTANCE_MM, detected};
+use super::{Drawing, Measurement, Measurer, Method, TYPICAL_DISTANCE_MM, dense, detected};
 use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
 use crate::fringe::{self, Axis, Coordinate, Depth, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
@@ -319,11 +319,15 @@ impl<'c> Run<'c, '_> {
             let growth = opening.and_then(|k| self.located[k].as_ref().ok()).map_or(UNKNOWN_GROWTH_MM, |l| l.growth_mm);
             self.located.iter_mut().flatten().for_each(|l| l.growth_mm = growth);
             let evidence = self.evidence();
-            if evidence.len() < 3 {
+            if evidence.len() < m.least_features() {
                 ended(Stage::Contour);
                 return Err(self.too_few());
             }
-            let next = judge::fit(&evidence, &pose).map_err(|e| Self::refuse(Code::TooFewFeatures, e.to_string()))?;
+            let next = match evidence.len() {
+                3.. => judge::fit(&evidence, &pose),
+                _ => dense::of_few(&evidence, &pose),
+            };
+            let next = next.map_err(|e| Self::refuse(Code::TooFewFeatures, e.to_string()))?;
             let change = pose.inverse() * next.a_from_b;
             let shift = (change * next.at - next.at).norm();
             pose = next.a_from_b;
@@ -333,7 +337,12 @@ impl<'c> Run<'c, '_> {
         }
         self.pose = Some(pose);
         ended(Stage::Contour);
-        judge::judge(&self.evidence(), &pose, &m.vehicle)
+        let evidence = self.evidence();
+        let points = (evidence.len() >= 3).then(|| judge::judge(&evidence, &pose, &m.vehicle)).transpose()?;
+        match points {
+            Some(points) if m.method != Method::Dense => Ok(points),
+            points => self.dense(points, pose, &samples, &rays),
+        }
     }
 
     /// Depth of the body about the `far` sites, and what the fringes say of themselves and of the calibration.
@@ -449,14 +458,20 @@ impl<'c> Run<'c, '_> {
         let camera = &c.measurer.calibration.rig.camera;
         let pose = c.first_pose?;
         let mut pairs = Vec::new();
+        let mut normals = Vec::new();
         for (template, region) in c.measurer.templates.iter().zip(&c.regions) {
             let Ok(region) = region else { continue };
             let axes = template.local(&pose).axes;
-            let measured = coarse.local.point(&coarse.meet(&camera.ray(&region.pixel)?, 0.0)?);
+            let met = coarse.meet(&camera.ray(&region.pixel)?, 0.0)?;
+            let measured = coarse.local.point(&met);
+            normals.push([coarse.normal(&met.xy()), Vector3::from(template.axes[2])]);
             let along = if judge::slides(template) { 15.0f64 } else { 1.5 };
             let sigma = Matrix3::from_diagonal(&Vector3::new(along.powi(2), 2.0, 0.1));
             let nominal = Point3::new(Vector3::from(template.point_mm));
             pairs.push(Pair { measured, nominal, covariance: axes * sigma * axes.transpose() });
+        }
+        if pairs.len() < 3 && c.measurer.method == Method::Dense {
+            return Some(dense::with_normals(pairs.into_iter().zip(normals)).ok()?.a_from_b);
         }
         let all = register(&pairs).ok()?;
         if all.chi2 <= CONTRADICTING {

@@ -10,6 +10,7 @@ mod body;
 mod consistency;
 mod corner;
 mod cycle;
+mod dense;
 mod depth;
 mod detected;
 mod edges;
@@ -72,6 +73,7 @@ pub struct Measurer {
     depth_rig: Rig,
     /// Proposes regions; none: they are searched for.
     detector: Option<Arc<Detector>>,
+    method: Method,
     /// Buffers of vehicles that are done.
     spare: Mutex<Vec<cycle::Buffers>>,
 }
@@ -107,6 +109,7 @@ impl Measurer {
             every,
             depth_rig,
             detector: None,
+            method: Method::Points,
             spare: Mutex::default(),
         }
     }
@@ -114,6 +117,16 @@ impl Measurer {
     /// The same with a detector that proposes the regions, or without one.
     pub fn with_detector(self, detector: Option<Arc<Detector>>) -> Self {
         Self { detector, ..self }
+    }
+
+    /// The same that measures by `method`.
+    pub fn with_method(self, method: Method) -> Self {
+        Self { method, ..self }
+    }
+
+    /// Fewer features that are located make no pose.
+    fn least_features(&self) -> usize {
+        if self.method == Method::Dense { 2 } else { 3 }
     }
 
     /// The camera and projector that it measures with.
