@@ -470,16 +470,20 @@ impl<'c> Run<'c, '_> {
             let nominal = Point3::new(Vector3::from(template.point_mm));
             pairs.push(Pair { measured, nominal, covariance: axes * sigma * axes.transpose() });
         }
-        if pairs.len() < 3 && c.measurer.method == Method::Dense {
-            return Some(dense::with_normals(pairs.into_iter().zip(normals)).ok()?.a_from_b);
-        }
-        let all = register(&pairs).ok()?;
+        // where two features are enough their normals count, too
+        let few = c.measurer.method == Method::Dense && pairs.len() <= 3;
+        let fit = |kept: &[usize]| match kept.len() {
+            0..3 if few => dense::with_normals(kept.iter().map(|&k| (pairs[k], normals[k])), &pose).ok(),
+            _ => register(&kept.iter().map(|&k| pairs[k]).collect::<Vec<_>>()).ok(),
+        };
+        let found: Vec<usize> = (0..pairs.len()).collect();
+        let all = fit(&found)?;
         if all.chi2 <= CONTRADICTING {
             return Some(all.a_from_b);
         }
-        // one region may be something beside its feature: the three that agree tell
-        let without = |k: usize| register(&[&pairs[..k], &pairs[k + 1..]].concat()).ok();
-        let best = (0..pairs.len()).filter_map(without).min_by(|a, b| a.chi2.total_cmp(&b.chi2));
+        // one region may be something beside its feature: those that agree tell
+        let without = |k: usize| fit(&[&found[..k], &found[k + 1..]].concat());
+        let best = found.iter().filter_map(|k| without(*k)).min_by(|a, b| a.chi2.total_cmp(&b.chi2));
         Some(best.filter(|b| b.chi2 <= CONTRADICTING).unwrap_or(all).a_from_b)
     }
 }

@@ -28,6 +28,8 @@ const AGREEING: f64 = 0.8;
 /// Edges this far apart along a contour, and cells so far apart on a surface, know little of each other, mm.
 const CONTOUR_BLOCK_MM: f64 = 12.0;
 const SURFACE_BLOCK_MM: f64 = 24.0;
+/// What is left of an edge's bias where growth and turn are unknowns of their own.
+const SHIFT_SHARE: f64 = 0.6;
 /// Hems differ along a contour: they turn it by so much at its radius of gyration, 1 sigma, mm. Growth along its normals
 /// turns nothing, and shifts a contour that is seen all around nowhere; it is what another paint does first.
 const TURN_MM: f64 = 0.01;
@@ -69,7 +71,7 @@ pub(super) fn step(
     let mut priors = Vec::new();
     for (part, region) in regions.iter().enumerate() {
         let body = region.feature.position_sigma_mm;
-        let edge = judge::edge_bias_mm(region.located).hypot(body);
+        let edge = (SHIFT_SHARE * judge::edge_bias_mm(region.located)).hypot(body);
         priors.extend([edge, edge, TURN_MM]);
         let growth = GROWTH_MM + judge::paint_growth_mm(region.located);
         priors.extend([growth; 3]);
@@ -163,27 +165,32 @@ fn surface(region: &Region<'_>, part: usize, distances: &mut Vec<Distance>) {
 const CONTRADICTING: f64 = judge::SIGMAS;
 /// The pose of the points and this one are of the same images: beyond so many sigmas one of them is wrong.
 const DISAGREEING: f64 = 6.0;
-/// The pose is still when a step turns it by less (rad) and shifts it by less (mm).
-const STILL: (f64, f64) = (1e-7, 1e-4);
+/// The pose is still when a step moves it by less than this many of its sigmas: which points belong to the contours may
+/// change with every step.
+const STILL: f64 = 0.1;
 const MAX_STEPS: usize = 8;
 /// Two features' points and their panel's normals fix a pose: a normal stands for a point so far above its own, mm, that
-/// is known so much worse, mm.
+/// is known so much worse, mm. What is known of the pose before, a few degrees, stands for points beside it.
 const NORMAL_MM: f64 = 100.0;
 const NORMAL_SIGMA_MM: f64 = 0.3;
+const BEFORE_SIGMA_MM: f64 = 3.5;
 
-/// The pose that points with the panel's normals make: measured points and normals, nominal ones, covariances of the points.
+/// The pose, near `before`, that points with the panel's normals make: pairs of points, measured and nominal normals. An
+/// arch's point slides along it, and normals say nothing about the turn that makes.
 pub(super) fn with_normals(
     pairs: impl Iterator<Item = (Pair<frame::Camera, frame::Vehicle>, [Vector3<f64>; 2])>,
+    before: &CameraFromVehicle,
 ) -> Result<Registration<frame::Camera, frame::Vehicle>, NoPose> {
-    let above = |(pair, [measured, nominal]): (Pair<frame::Camera, frame::Vehicle>, [Vector3<f64>; 2])| {
-        let above = Pair {
+    let with = |(pair, [measured, nominal]): (Pair<frame::Camera, frame::Vehicle>, [Vector3<f64>; 2])| {
+        let beside = |measured: Vector3<f64>, nominal: Vector3<f64>, sigma: f64| Pair {
             measured: Point3::new(pair.measured.xyz + measured * NORMAL_MM),
             nominal: Point3::new(pair.nominal.xyz + nominal * NORMAL_MM),
-            covariance: pair.covariance + Matrix3::identity() * NORMAL_SIGMA_MM.powi(2),
+            covariance: pair.covariance + Matrix3::identity() * sigma.powi(2),
         };
-        [pair, above]
+        let level = nominal.cross(&Vector3::z()).normalize();
+        [pair, beside(measured, nominal, NORMAL_SIGMA_MM), beside(before.r * level, level, BEFORE_SIGMA_MM)]
     };
-    register(&pairs.flat_map(above).collect::<Vec<_>>())
+    register(&pairs.flat_map(with).collect::<Vec<_>>())
 }
 
 /// The same of located features about `pose`.
@@ -195,7 +202,7 @@ pub(super) fn of_few(
         let taught = pose.r.inverse() * e.located.taught_normal;
         (e.pair(pose), [e.located.normal, taught])
     };
-    with_normals(evidence.iter().map(pair))
+    with_normals(evidence.iter().map(pair), pose)
 }
 
 impl Run<'_, '_> {
@@ -226,10 +233,8 @@ impl Run<'_, '_> {
             let regions = regions.map_err(|code| Self::refuse(code, "Found once, it was lost again."))?;
             let unfixed = || Self::refuse(Code::Residual, "The regions' contours and surfaces fix no pose.");
             let dense = step(&regions, rays, &pose, &at).ok_or_else(unfixed)?;
-            let motion = &dense.joint.motion;
-            let (mm, rad) = (motion.fixed_rows::<3>(0).norm(), motion.fixed_rows::<3>(3).norm());
             pose = dense.pose;
-            if rad < STILL.0 && mm < STILL.1 {
+            if dense.joint.motion.component_div(&dense.joint.covariance.diagonal().map(f64::sqrt)).amax() < STILL {
                 still = Some(dense);
                 break;
             }
@@ -333,4 +338,46 @@ fn disagreement(
     to.fixed_view_mut::<3, 6>(0, 0).copy_from(&motion_jacobian(&points.at.xyz, &at.xyz));
     let sum = points.covariance + to * covariance * to.transpose();
     Some(off.dot(&(sum.cholesky()?.inverse() * off)).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Rotation3;
+
+    #[test]
+    fn two_points_with_their_normals_are_a_pose_also_where_one_slides() {
+        let pose =
+            CameraFromVehicle::new(Rotation3::from_euler_angles(1.6, 0.02, 3.1), Vector3::new(-2645.0, 777.0, 1656.0));
+        let at = [[-2476.0, 874.0, 671.0], [-2640.0, 875.0, 710.0]].map(Vector3::from);
+        let normals = [Vector3::new(0.05, 1.0, 0.1), Vector3::new(-0.02, 1.0, 0.2)].map(|n| n.normalize());
+        for (along_mm, degrees, off_deg) in [(0.05, 2.0, 0.03), (15.0, 2.0, 2.5)] {
+            let pair = |k: usize| {
+                let along = if k == 1 { along_mm } else { 0.05 };
+                let sigma = Matrix3::from_diagonal(&Vector3::new(along, 0.01, 0.05)).map(|s| s * s);
+                let r = *pose.r.matrix();
+                // the arch's point lies beside its place
+                let slid = Vector3::new(if k == 1 { 0.5 * along } else { 0.0 }, 0.0, 0.0);
+                let pair = Pair {
+                    measured: pose * Point3::new(at[k] + slid),
+                    nominal: Point3::<frame::Vehicle>::new(at[k]),
+                    covariance: r * sigma * r.transpose(),
+                };
+                (pair, [pose.r * normals[k], normals[k]])
+            };
+            let before =
+                pose * Pose::new(Rotation3::new(Vector3::new(0.0, f64::to_radians(degrees), 0.0)), Vector3::zeros());
+            let got = with_normals((0..2).map(pair), &before).expect("a pose").a_from_b;
+            let off = (pose.inverse() * got).r.angle().to_degrees();
+            assert!(off < off_deg, "{along_mm}: {off}°");
+        }
+    }
+
+    #[test]
+    fn places_of_one_square_share_a_block_and_no_other_does() {
+        let of = |part, group, u: f64, v: f64| block(part, group, &Vector2::new(u, v), 12.0);
+        assert_eq!(of(1, 0, 0.1, -0.1), of(1, 0, 11.9, -11.9));
+        let others = [of(0, 0, 0.1, -0.1), of(1, 1, 0.1, -0.1), of(1, 0, -0.1, -0.1), of(1, 0, 0.1, 0.1)];
+        assert!(others.iter().all(|b| *b != of(1, 0, 0.1, -0.1)), "{others:?}");
+    }
 }
