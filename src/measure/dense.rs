@@ -32,7 +32,7 @@ const SURFACE_BLOCK_MM: f64 = 24.0;
 const SHIFT_SHARE: f64 = 0.6;
 /// Hems differ along a contour: they turn it by so much at its radius of gyration, 1 sigma, mm. Growth along its normals
 /// turns nothing, and shifts a contour that is seen all around nowhere; it is what another paint does first.
-const TURN_MM: f64 = 0.01;
+const TURN_MM: f64 = 0.02;
 /// How much a contour grows, 1 sigma, mm, on the paint that it was taught on.
 const GROWTH_MM: f64 = 0.005;
 /// A patch's tilt, 1 sigma, rad: its normal bias over half its width.
@@ -175,20 +175,26 @@ const NORMAL_MM: f64 = 100.0;
 const NORMAL_SIGMA_MM: f64 = 0.3;
 const BEFORE_SIGMA_MM: f64 = 3.5;
 
+/// A point with the panel's normal there: measured and nominal.
+pub(super) type WithNormals = (Pair<frame::Camera, frame::Vehicle>, [Vector3<f64>; 2]);
+
 /// The pose, near `before`, that points with the panel's normals make: pairs of points, measured and nominal normals. An
 /// arch's point slides along it, and normals say nothing about the turn that makes.
 pub(super) fn with_normals(
-    pairs: impl Iterator<Item = (Pair<frame::Camera, frame::Vehicle>, [Vector3<f64>; 2])>,
+    pairs: impl Iterator<Item = WithNormals>,
     before: &CameraFromVehicle,
 ) -> Result<Registration<frame::Camera, frame::Vehicle>, NoPose> {
-    let with = |(pair, [measured, nominal]): (Pair<frame::Camera, frame::Vehicle>, [Vector3<f64>; 2])| {
-        let beside = |measured: Vector3<f64>, nominal: Vector3<f64>, sigma: f64| Pair {
+    let with = |(pair, [measured, nominal]): WithNormals| {
+        let beside = |measured: Vector3<f64>, nominal: Vector3<f64>, spread: Matrix3<f64>| Pair {
             measured: Point3::new(pair.measured.xyz + measured * NORMAL_MM),
             nominal: Point3::new(pair.nominal.xyz + nominal * NORMAL_MM),
-            covariance: pair.covariance + Matrix3::identity() * sigma.powi(2),
+            covariance: pair.covariance + spread,
         };
         let level = nominal.cross(&Vector3::z()).normalize();
-        [pair, beside(measured, nominal, NORMAL_SIGMA_MM), beside(before.r * level, level, BEFORE_SIGMA_MM)]
+        let tilt = Matrix3::identity() * NORMAL_SIGMA_MM.powi(2);
+        // only the turn about the normal: vehicles yaw by more
+        let turn = Matrix3::identity() * BEFORE_SIGMA_MM.powi(2) + measured * measured.transpose() * NORMAL_MM.powi(2);
+        [pair, beside(measured, nominal, tilt), beside(before.r * level, level, turn)]
     };
     register(&pairs.flat_map(with).collect::<Vec<_>>())
 }
