@@ -5,7 +5,8 @@ mod common;
 
 use common::{Set, here, over_sigma};
 use datum::calibrate::ParameterCovariance;
-use datum::measure::{Measurement, Verdict};
+use datum::measure::{Measurement, Method, Verdict};
+use datum::vehicle::Class;
 use datum::{Calibration, Code, Point3, VehicleFile, frame};
 use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
 use serde_json::Value;
@@ -16,6 +17,9 @@ const ROTATION_DEG: f64 = 0.015;
 const FEATURE_MM: f64 = 0.25;
 /// Six axes of one pose: by chance the largest is beyond this once in 2600 captures.
 const SIGMAS: f64 = 4.0;
+/// Half a cover's side: of a corner or the arch 55 mm, of the flap and its opening 90 mm.
+const COVER_PX: f64 = 50.0;
+const FLAP_PX: f64 = 82.0;
 
 fn set() -> (Set, VehicleFile) {
     let set = Set::open(here("station"));
@@ -46,6 +50,53 @@ fn a_moved_vehicle_is_where_it_is_said_to_be() {
         }
         assert!(drawing.contours.len() > 200 && drawing.regions.len() == 4, "{name}: little to draw");
     }
+}
+
+/// What a pose of everything that the regions show must be.
+fn check_dense(m: &Measurement, truth: &common::Truth, what: &str, (mm, deg): (f64, f64)) {
+    assert_eq!((m.verdict, m.method), (Verdict::Ok, Method::Dense), "{what}: {}", m.detail);
+    let error = truth.error(m).expect("ok has a pose");
+    let (t, r) = (error.fixed_rows::<3>(0).into_owned(), error.fixed_rows::<3>(3).map(f64::to_degrees));
+    eprintln!("{what}: {t:.3?} mm, {r:.4?}°, {:.2?} sigma", over_sigma(&error, m).as_slice());
+    assert!(t.amax() < mm && r.amax() < deg, "{what}: {t:?} mm, {r:?}°");
+    assert!(over_sigma(&error, m).amax() < SIGMAS, "{what}: {:?} sigma", over_sigma(&error, m));
+}
+
+#[test]
+fn a_moved_vehicle_is_measured_by_all_its_contours_and_surfaces() {
+    let (set, features) = set();
+    let taught = set.teach("taught", &features);
+    let m = set.measure(&set.measurer(&taught, "dense").with_method(Method::Dense), "moved").0;
+    check_dense(&m, &set.truth("moved"), "all regions", (TRANSLATION_MM, ROTATION_DEG));
+    let apart = m.points_minus_dense_mm.expect("both poses are there");
+    assert!(apart > 0.0 && apart < TRANSLATION_MM, "{apart} mm");
+}
+
+/// Also where two of the four regions are covered, which leaves no pose of points.
+#[test]
+fn any_two_regions_that_are_left_make_a_pose() {
+    let (set, features) = set();
+    let taught = set.teach("taught", &features);
+    let truth = set.truth("moved");
+    let [points, dense] = [Method::Points, Method::Dense].map(|m| set.measurer(&taught, "two-left").with_method(m));
+    let (mut refused, mut enough) = (Vec::new(), 0);
+    for covered in [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]] {
+        let covers = covered.map(|k| {
+            let feature = &taught.model.features[k];
+            (truth.pixel(feature), if feature.class == Class::Point3 { FLAP_PX } else { COVER_PX })
+        });
+        if set.measure_covered(&points, "moved", &covers).verdict == Verdict::Ok {
+            enough += 1; // so much of a region peeps out that there are three points
+        }
+        let m = set.measure_covered(&dense, "moved", &covers);
+        if m.verdict == Verdict::NotMeasurable {
+            refused.push(format!("without {covered:?}: {}", m.detail));
+            continue;
+        }
+        check_dense(&m, &truth, &format!("without {covered:?}"), (2.0 * TRANSLATION_MM, 4.0 * ROTATION_DEG));
+    }
+    assert!(refused.is_empty(), "{refused:#?}");
+    assert!(enough < 3, "covers that leave three points: {enough} of 6");
 }
 
 /// The poses that a calibration off by each of a few errors gives are off by what its covariance says, and a body is

@@ -5,7 +5,7 @@
 //! The table of many vehicles is asked for: `DATUM_VEHICLES=200 cargo test --release --test simulation many -- --nocapture`;
 //! `DATUM_VEHICLES=17,62` looks at some of them.
 //! `DATUM_BARS_MM=690` sets the bars where the independent captures have them, and some poses mirror one on a feature;
-//! `DATUM_REPEAT=1` repeats the first fringe image at the end.
+//! `DATUM_REPEAT=1` repeats the first fringe image at the end; `DATUM_METHOD=dense` measures by all contours and surfaces.
 
 #![expect(clippy::print_stdout, reason = "tables to read are half of what this is for")]
 
@@ -16,7 +16,7 @@ use datum::capture::{Devices, Plan, RecordError, SETS, record};
 use datum::fringe::Axis;
 use datum::hal::{Camera, Clock, Error, LightBars, Pool, Presence, Projector};
 use datum::image::Image;
-use datum::measure::{Measurement, Measurer, Verdict, measure, teach};
+use datum::measure::{Measurement, Measurer, Method, Verdict, measure, teach};
 use datum::sim::{
     self, Body, Build, Cover, Cue, Deviation, Dirt, Fault, PAINTS, Paint, Random, Scene, Script, Setup, Station, Visit,
     When,
@@ -492,6 +492,8 @@ fn vehicle(setup: &Arc<Setup>, repeat: bool, k: u64) -> Row {
     let said = match taught(setup, &body, PAINTS[0], k, &name) {
         Err(e) => format!("teach: {e}"),
         Ok(measurer) => {
+            let dense = std::env::var("DATUM_METHOD").is_ok_and(|m| m == "dense");
+            let measurer = measurer.with_method(if dense { Method::Dense } else { Method::Points });
             let station = Station::with_vehicle(Arc::clone(setup), k + 1, (built, paint, deviation), Script::default());
             let capture = recorded(&station, repeat, &folder(&name).join("measured")).expect("devices work");
             let m = measured(&measurer, &capture);

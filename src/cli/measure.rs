@@ -36,7 +36,8 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
-    anyhow::ensure!(a.method == Method::Points, "--method {}: not available yet, allowed: points", name(a.method));
+    let there = a.method != Method::Published;
+    anyhow::ensure!(there, "--method {}: not available yet, allowed: points, dense", name(a.method));
     let calibration = Calibration::read(&a.calibration)?;
     let vehicle = VehicleFile::read(&a.vehicle)?;
     let shared = Shared { detector: Detector::named(&a.detector)?, ..Shared::default() };
@@ -73,7 +74,8 @@ fn one(
         let calibration = calibration
             .for_sizes(sizes[0], sizes[1], a.scale_calibration)
             .map_err(|e| anyhow::Error::new(e).context(capture.file().display().to_string()))?;
-        *ready = Some((sizes, Measurer::new(calibration, vehicle.clone())?.sharing(shared)));
+        let measurer = Measurer::new(calibration, vehicle.clone())?.with_method(a.method).sharing(shared);
+        *ready = Some((sizes, measurer));
     }
     let (_, measurer) = ready.as_ref().expect("made just now");
     let mut clock = Clock::new();

@@ -10,6 +10,10 @@ use std::f64::consts::TAU;
 
 /// A wrong order goes unnoticed once the error passes 1 − `Limits::order_residual` fringes: so many sigmas away.
 const ORDER_SIGMAS: f64 = 4.0;
+/// Phases of two exposures differ by noise, about once in 10⁵ pixels by more than this many sigmas, and by what harmonics
+/// (rms) do to steps of which some are saturated.
+const CONTRADICTING_SIGMAS: f64 = 4.5;
+const HARMONIC_SIGMAS: f64 = 3.0;
 
 /// One pixel's projector coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -46,8 +50,8 @@ pub struct CoordinateMap {
 }
 
 /// Projector coordinates along `axis` from `maps`: the sets of one window in any order; those of the other axis are
-/// left alone. `extent`: the projector's px along the axis. Of sets of equal count each pixel takes the phase of
-/// least variance. A pixel whose sets disagree by `limits.order_residual`, or are too noisy to agree, is invalid.
+/// left alone. `extent`: the projector's px along the axis. Of sets of equal count, a stack of exposures, each pixel takes
+/// all unsaturated steps for what they are worth. A pixel whose sets disagree by `limits.order_residual`, or are too noisy to agree, is invalid.
 /// Errors where no set has the axis, or none of them has count 1. Panics if the windows differ.
 pub fn unwrap(maps: &[PhaseMap], axis: Axis, extent: usize, limits: &Limits) -> Result<CoordinateMap, Error> {
     unwrap_reusing(Vec::new(), maps, axis, extent, limits)
@@ -71,14 +75,14 @@ pub fn unwrap_reusing(
     let levels: Vec<&[&PhaseMap]> = sets.chunk_by(|a, b| a.set.count == b.set.count).collect();
     let mut map =
         CoordinateMap { axis, pitch: last.set.pitch(extent), window: first.window, pixels: Vec::new(), extent };
-    let pixel = |i| coordinate(&levels, i, &map, limits.order_residual);
+    let pixel = |i| coordinate(&levels, i, &map, limits);
     (0..first.pixels.len()).into_par_iter().with_min_len(1024).map(pixel).collect_into_vec(&mut pixels);
     map.pixels = pixels;
     Ok(map)
 }
 
-fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, most: f64) -> Coordinate {
-    let finest = best(levels[levels.len() - 1], i);
+fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, limits: &Limits) -> Coordinate {
+    let finest = best(levels[levels.len() - 1], i, limits);
     let mut out = Coordinate {
         value: f64::NAN,
         variance: f32::NAN,
@@ -95,7 +99,7 @@ fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, most: f64)
     let mut variance = 0.0;
     let mut count = 0.0;
     for level in levels {
-        let p = best(level, i);
+        let p = best(level, i, limits);
         if p.state != State::Valid {
             out.state = p.state;
             out.unordered = (p.state == State::Saturated).then_some((finest.phase, finest.variance));
@@ -107,7 +111,8 @@ fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, most: f64)
             phase = wrapped.rem_euclid(TAU);
         } else {
             let ratio = finer / count;
-            let Some(ordered) = in_order(wrapped, phase * ratio, variance * ratio * ratio + own, most) else {
+            let Some(ordered) = in_order(wrapped, phase * ratio, variance * ratio * ratio + own, limits.order_residual)
+            else {
                 out.state = State::WrongOrder;
                 return out;
             };
@@ -119,15 +124,37 @@ fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, most: f64)
     out
 }
 
-/// The phase of `sets`, all of one count, with the least variance; if none is valid a saturated one.
-fn best<'a>(sets: &[&'a PhaseMap], i: usize) -> &'a Phase {
+/// The phase of `sets`, all of one count: the mean of the valid ones weighted by their variances, so that of a stack of
+/// exposures each pixel takes every step that was not saturated for what it is worth; if none is valid a saturated one.
+/// Valid ones that contradict each other are no sine: light changed or the object moved from one set to the other.
+fn best(sets: &[&PhaseMap], i: usize, limits: &Limits) -> Phase {
+    if let [one] = sets {
+        return one.pixels[i];
+    }
     let rank = |p: &Phase| match p.state {
         State::Valid => p.variance,
         State::Saturated => f32::MAX,
         _ => f32::INFINITY,
     };
-    let phases = sets.iter().map(|m| &m.pixels[i]);
-    phases.min_by(|a, b| rank(a).total_cmp(&rank(b))).expect("a level has a set")
+    let phases = || sets.iter().map(|m| m.pixels[i]);
+    let mut out = phases().min_by(|a, b| rank(a).total_cmp(&rank(b))).expect("a level has a set");
+    if out.state != State::Valid {
+        return out;
+    }
+    let (mut weight, mut off) = (0.0, 0.0);
+    for p in phases().filter(|p| p.state == State::Valid) {
+        let (own, turn) = (f64::from(p.variance), f64::from(p.phase - out.phase));
+        let apart = turn - TAU * (turn / TAU).round();
+        let sigma = (own + f64::from(out.variance)).sqrt();
+        if apart.abs() > CONTRADICTING_SIGMAS * sigma + HARMONIC_SIGMAS * limits.harmonics {
+            return Phase { phase: f32::NAN, variance: f32::NAN, state: State::NotSine, ..out };
+        }
+        (weight, off) = (weight + 1.0 / own, off + apart / own);
+    }
+    let turn = f64::from(out.phase) + off / weight;
+    out.phase = (turn - TAU * (turn / TAU).round()) as f32;
+    out.variance = (1.0 / weight) as f32;
+    out
 }
 
 /// `wrapped` plus the whole turns that bring it nearest `expected` (rad); `None` unless they agree to `most` turns, and
@@ -239,14 +266,30 @@ mod tests {
     }
 
     #[test]
-    fn of_equal_counts_the_less_noisy_phase_is_taken_and_an_invalid_one_never() {
+    fn of_equal_counts_each_phase_counts_for_what_it_is_worth_and_an_invalid_one_never() {
         let mut stack = maps(&[1, 8, 8], |i| i as f64);
-        stack[1].pixels[600] =
-            Phase { phase: stack[1].pixels[600].phase + 0.1, variance: 4e-4, ..stack[1].pixels[600] };
+        let shifted = |p: Phase, by: f32, variance: f32| Phase { phase: p.phase + by, variance, ..p };
+        stack[1].pixels[600] = shifted(stack[1].pixels[600], 0.1, 4e-4);
         spoil(&mut stack[2].pixels[700], State::Saturated);
+        stack[1].pixels[800] = shifted(stack[1].pixels[800], 0.3, 4e-4);
         let map = unwrap(&stack, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
-        assert!((map.pixels[600].value - 600.0).abs() < 1e-4, "{:?}", map.pixels[600]);
+        let px = |rad: f64| rad * 160.0 / TAU;
+        let c = map.pixels[600];
+        assert!((c.value - 600.0 - px(0.1 * 1.0 / 5.0)).abs() < 1e-3, "{c:?}");
+        assert!((f64::from(c.variance) / (0.8e-4 * px(1.0).powi(2)) - 1.0).abs() < 1e-3, "{c:?}");
         assert!((map.pixels[700].value - 700.0).abs() < 1e-4, "{:?}", map.pixels[700]);
+        assert_eq!(map.pixels[800].state, State::NotSine, "two exposures that differ by 13 sigmas");
+    }
+
+    #[test]
+    fn phases_of_a_stack_on_both_sides_of_the_turn_meet_there() {
+        let mut stack = maps(&[1, 8, 8], |i| i as f64);
+        let at = 80; // half a fringe: the phase is π
+        for (map, phase) in stack[1..].iter_mut().zip([3.12, -3.12]) {
+            map.pixels[at].phase = phase;
+        }
+        let c = unwrap(&stack, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there").pixels[at];
+        assert!((c.value + 0.5 - 80.0).abs() < 1e-3, "{c:?}");
     }
 
     #[test]

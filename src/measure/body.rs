@@ -80,7 +80,7 @@ pub(crate) struct Patch {
     pub(crate) surface: Surface<frame::Camera>,
     pub(crate) coverage: f64,
     /// What it was fitted to, in the local frame of the surface.
-    cells: Vec<Cell>,
+    pub(crate) cells: Vec<Cell>,
 }
 
 impl Patch {

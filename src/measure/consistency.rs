@@ -7,7 +7,7 @@
 
 use super::body::{self, Site};
 use super::cycle::{Run, about};
-use super::judge::{self, Judged, Refused};
+use super::judge::{Judged, Refused};
 use crate::calibrate::{Health, MAX_EPIPOLAR_PX, Turn};
 use crate::code::Code;
 use crate::fringe::{CoordinateMap, EpipolarCell, State};
@@ -82,11 +82,11 @@ impl Run<'_, '_> {
         let rig = &self.cycle.measurer.calibration.rig;
         let evidence = self.evidence();
         let turned = health.turn.map(|turn| {
-            let per_turn = judge::response(&evidence, &judged.registration, |e| Turn::shift(rig, &e.located.response));
+            let per_turn = judged.response(&evidence, |e| Turn::shift(rig, &e.located.response));
             (per_turn * turn.vector, per_turn * turn.covariance * per_turn.transpose())
         });
         let scaled = health.size.map(|size| {
-            let motion = judge::response(&evidence, &judged.registration, |e| e.located.point.xyz * size);
+            let motion = judged.response(&evidence, |e| e.located.point.xyz * size);
             (motion, Matrix6::zeros())
         });
         for (motion, covariance) in turned.into_iter().chain(scaled) {

@@ -29,13 +29,13 @@ const HEM_BIAS: f64 = 0.7;
 const SAME_PAINT_MM: f64 = 0.03;
 const PAINT_DISTANCE: f64 = 1.5;
 /// The same across the panel: fringe harmonics, defocus; and never nothing.
-const NORMAL_BIAS_MM: f64 = 0.005;
+pub(super) const NORMAL_BIAS_MM: f64 = 0.005;
 /// Paint and light shift all features together along the panel, 1 sigma, mm: black against white in one pose 0.03.
 const PAINT_SHIFT_MM: f64 = 0.01;
 /// And more when the vehicle turns against the bars, mm per degree away from the taught attitude.
 const LIGHT_SHIFT_MM_PER_DEG: f64 = 0.005;
 /// Residuals farther off than this many sigmas belong to another body.
-const SIGMAS: f64 = 9.0;
+pub(super) const SIGMAS: f64 = 9.0;
 /// The same for distances, which what shifts all features together leaves alone.
 const DISTANCE_SIGMAS: f64 = 6.0;
 /// The panel's normal at a feature, against the taught one in the measured pose: flush to 0.5°.
@@ -51,6 +51,21 @@ pub(crate) struct Judged {
     pub(crate) covariance: Matrix6<f64>,
     pub(crate) residual_rms_mm: f64,
     pub(crate) distance_deviation_mm: f64,
+    /// How far the pose of the points lies from the one of everything, where there are both.
+    pub(crate) points_minus_dense_mm: Option<f64>,
+    /// Motion per shift of each located point, camera axes.
+    pub(crate) gain: Vec<SMatrix<f64, 6, 3>>,
+}
+
+impl Judged {
+    /// The motion of the pose when each located point is shifted by `shift`, camera axes; one column per error.
+    pub(crate) fn response<const N: usize>(
+        &self,
+        evidence: &[Evidence<'_>],
+        shift: impl Fn(&Evidence<'_>) -> SMatrix<f64, 3, N>,
+    ) -> SMatrix<f64, 6, N> {
+        evidence.iter().zip(&self.gain).map(|(e, gain)| gain * shift(e)).sum()
+    }
 }
 
 /// Why there is no pose: a code, a sentence, and what is known all the same.
@@ -58,6 +73,17 @@ pub(crate) struct Refused {
     pub(crate) code: Code,
     pub(crate) detail: String,
     pub(crate) distance_deviation_mm: Option<f64>,
+}
+
+/// What shifts a feature's edges along the panel beyond noise, 1 sigma, mm.
+pub(super) fn edge_bias_mm(located: &Located) -> f64 {
+    // whatever hides a part of a contour also shades or blurs what is left beside it
+    EDGE_BIAS_MM * (1.0 + HIDDEN_BIAS * (1.0 - located.share))
+}
+
+/// By how much another paint than the taught one has made contours grow, 1 sigma, mm.
+pub(super) fn paint_growth_mm(located: &Located) -> f64 {
+    HEM_BIAS * (located.growth_mm - SAME_PAINT_MM).max(0.0)
 }
 
 /// A located feature with what it is to be compared with.
@@ -72,24 +98,23 @@ pub(crate) struct Evidence<'a> {
 
 impl Evidence<'_> {
     /// Covariance of the located point without what calibration, teaching and body contribute, camera axes, mm².
-    fn measured_covariance(&self) -> Matrix3<f64> {
+    pub(super) fn measured_covariance(&self) -> Matrix3<f64> {
         let n = self.located.normal;
         let across = n * n.transpose();
-        // whatever hides a part of a contour also shades or blurs what is left beside it
-        let edge_bias = EDGE_BIAS_MM * (1.0 + HIDDEN_BIAS * (1.0 - self.located.share));
+        let edge_bias = edge_bias_mm(self.located);
         self.located.noise + (Matrix3::identity() - across) * edge_bias.powi(2) + across * NORMAL_BIAS_MM.powi(2)
     }
 
     /// What paint and light add to that, camera axes, mm². It counts in what is stated; held against the vehicle it would let
     /// a calibration pass that is off by as much, so that only what is surely paint widens the check of distances.
-    fn paint_covariance(&self) -> Matrix3<f64> {
+    pub(super) fn paint_covariance(&self) -> Matrix3<f64> {
         let n = self.located.normal;
         (Matrix3::identity() - n * n.transpose()) * (HEM_BIAS * self.located.growth_mm).powi(2)
     }
 
     /// How the located point follows the calibration's independent errors, camera axes, mm per sigma. Features share
     /// them: never a part of one feature's covariance.
-    fn spread(&self) -> PointJacobian {
+    pub(super) fn spread(&self) -> PointJacobian {
         self.located.response * self.errors
     }
 
@@ -104,13 +129,13 @@ impl Evidence<'_> {
     }
 
     /// Covariance of the taught point on its panel and of the body, the same for every vehicle of the model, camera axes.
-    fn model_covariance(&self, pose: &CameraFromVehicle) -> Matrix3<f64> {
+    pub(super) fn model_covariance(&self, pose: &CameraFromVehicle) -> Matrix3<f64> {
         let axes = self.template.local(pose).axes;
         axes * self.template.covariance() * axes.transpose()
             + Matrix3::identity() * self.feature.position_sigma_mm.powi(2)
     }
 
-    fn pair(&self, pose: &CameraFromVehicle) -> Pair<frame::Camera, frame::Vehicle> {
+    pub(super) fn pair(&self, pose: &CameraFromVehicle) -> Pair<frame::Camera, frame::Vehicle> {
         Pair {
             measured: self.located.point,
             nominal: self.feature.position(),
@@ -137,8 +162,77 @@ pub(crate) fn judge(
     let registration = fit(evidence, pose).map_err(|e| refused(Code::TooFewFeatures, e.to_string(), None))?;
     let pose = registration.a_from_b;
 
-    // Distances need no pose, so no pose can hide them.
-    let mut worst: (f64, String) = (0.0, String::new());
+    let worst = distances(evidence, &pose, model)?;
+    for e in evidence {
+        let taught = e.located.taught_normal;
+        let tilt = taught.cross(&e.located.normal).norm();
+        if tilt > NORMAL_TILT_RAD {
+            let detail = format!(
+                "{}: the panel is tilted by {:.2}° against the taught one, allowed {:.2}°",
+                e.feature.name,
+                tilt.to_degrees(),
+                NORMAL_TILT_RAD.to_degrees()
+            );
+            return Err(refused(Code::Residual, detail, Some(worst)));
+        }
+    }
+    let tilt = common_tilt(evidence);
+    if tilt.norm() > COMMON_TILT_RAD {
+        let detail = format!(
+            "the panel is tilted by {:.2}° against what the features' points say, allowed {:.2}°",
+            tilt.norm().to_degrees(),
+            COMMON_TILT_RAD.to_degrees()
+        );
+        return Err(refused(Code::DenseDisagrees, detail, Some(worst)));
+    }
+    if evidence.len() > 3 {
+        leave_one_out(evidence, &pose).map_err(|detail| refused(Code::Residual, detail, Some(worst)))?;
+    } else {
+        let spreads: Vec<_> = evidence.iter().map(Evidence::spread).collect();
+        let chi2 = registration.chi2_granting(&pairs(evidence, &registration), &spreads);
+        if chi2 > SIGMAS * SIGMAS {
+            let detail = format!("the features are {:.1} sigmas from nominal, allowed {SIGMAS}", chi2.sqrt());
+            return Err(refused(Code::Residual, detail, Some(worst)));
+        }
+    }
+
+    let painted: Vec<_> = evidence
+        .iter()
+        .map(|e| {
+            let pair = e.pair(&pose);
+            Pair { covariance: pair.covariance + e.paint_covariance(), ..pair }
+        })
+        .collect();
+    let stated = register(&painted).map_err(|e| refused(Code::TooFewFeatures, e.to_string(), Some(worst)))?;
+    let gain = (0..evidence.len()).map(|k| {
+        let only = |i: usize| if i == k { Matrix3::identity() } else { Matrix3::zeros() };
+        registration.response(&pairs(evidence, &registration), &(0..evidence.len()).map(only).collect::<Vec<_>>())
+    });
+    let mut judged = Judged {
+        covariance: stated.covariance + common_mode(evidence, &pose),
+        residual_rms_mm: rms(&registration.residuals),
+        distance_deviation_mm: worst,
+        points_minus_dense_mm: None,
+        gain: gain.collect(),
+        registration,
+    };
+    let of_calibration = judged.response(evidence, |e| e.spread());
+    judged.covariance += of_calibration * of_calibration.transpose();
+    Ok(judged)
+}
+
+pub(super) fn rms(residuals: &[Vector3<f64>]) -> f64 {
+    (residuals.iter().map(Vector3::norm_squared).sum::<f64>() / residuals.len() as f64).sqrt()
+}
+
+/// The largest deviation of a distance from nominal, mm, or the refusal. Distances need no pose, so no pose can hide them;
+/// `pose` only turns covariances.
+pub(super) fn distances(
+    evidence: &[Evidence<'_>],
+    pose: &CameraFromVehicle,
+    model: &VehicleFile,
+) -> Result<f64, Refused> {
+    let mut worst = 0f64;
     let mut too_far: Option<String> = None;
     for (i, a) in evidence.iter().enumerate() {
         for b in &evidence[..i] {
@@ -148,7 +242,7 @@ pub(crate) fn judge(
             let along = measured.normalize();
             let of_calibration = a.spread() - b.spread();
             let of_model =
-                a.model_covariance(&pose) + b.model_covariance(&pose) + of_calibration * of_calibration.transpose();
+                a.model_covariance(pose) + b.model_covariance(pose) + of_calibration * of_calibration.transpose();
             let of_measuring = a.measured_covariance() + b.measured_covariance();
             let sigma = |m: Matrix3<f64>| along.dot(&(m * along)).sqrt();
             let of_paint = PAINT_DISTANCE * (a.located.growth_mm - SAME_PAINT_MM).max(0.0);
@@ -162,68 +256,17 @@ pub(crate) fn judge(
                     DISTANCE_SIGMAS * sigma(of_model + of_measuring) + of_paint
                 ));
             }
-            if deviation.abs() >= worst.0 {
-                worst = (deviation.abs(), between);
-            }
+            worst = worst.max(deviation.abs());
         }
     }
-    if let Some(detail) = too_far {
-        return Err(refused(Code::Distances, detail, Some(worst.0)));
+    match too_far {
+        Some(detail) => Err(Refused { code: Code::Distances, detail, distance_deviation_mm: Some(worst) }),
+        None => Ok(worst),
     }
-
-    for e in evidence {
-        let taught = e.located.taught_normal;
-        let tilt = taught.cross(&e.located.normal).norm();
-        if tilt > NORMAL_TILT_RAD {
-            let detail = format!(
-                "{}: the panel is tilted by {:.2}° against the taught one, allowed {:.2}°",
-                e.feature.name,
-                tilt.to_degrees(),
-                NORMAL_TILT_RAD.to_degrees()
-            );
-            return Err(refused(Code::Residual, detail, Some(worst.0)));
-        }
-    }
-    let tilt = common_tilt(evidence);
-    if tilt.norm() > COMMON_TILT_RAD {
-        let detail = format!(
-            "the panel is tilted by {:.2}° against what the features' points say, allowed {:.2}°",
-            tilt.norm().to_degrees(),
-            COMMON_TILT_RAD.to_degrees()
-        );
-        return Err(refused(Code::DenseDisagrees, detail, Some(worst.0)));
-    }
-    if evidence.len() > 3 {
-        leave_one_out(evidence, &pose).map_err(|detail| refused(Code::Residual, detail, Some(worst.0)))?;
-    } else {
-        let spreads: Vec<_> = evidence.iter().map(Evidence::spread).collect();
-        let chi2 = registration.chi2_granting(&pairs(evidence, &registration), &spreads);
-        if chi2 > SIGMAS * SIGMAS {
-            let detail = format!("the features are {:.1} sigmas from nominal, allowed {SIGMAS}", chi2.sqrt());
-            return Err(refused(Code::Residual, detail, Some(worst.0)));
-        }
-    }
-
-    let painted: Vec<_> = evidence
-        .iter()
-        .map(|e| {
-            let pair = e.pair(&pose);
-            Pair { covariance: pair.covariance + e.paint_covariance(), ..pair }
-        })
-        .collect();
-    let stated = register(&painted).map_err(|e| refused(Code::TooFewFeatures, e.to_string(), Some(worst.0)))?;
-    let of_calibration = response(evidence, &registration, |e| e.spread());
-    let squares: f64 = registration.residuals.iter().map(|r| r.norm_squared()).sum();
-    Ok(Judged {
-        covariance: stated.covariance + common_mode(evidence, &pose) + of_calibration * of_calibration.transpose(),
-        residual_rms_mm: (squares / evidence.len() as f64).sqrt(),
-        distance_deviation_mm: worst.0,
-        registration,
-    })
 }
 
-/// The motion of the pose when each located point is shifted by `shift`, camera axes; one column per error.
-pub(crate) fn response<const N: usize>(
+/// The motion of `registration`'s pose when each located point is shifted by `shift`, camera axes; one column per error.
+fn response<const N: usize>(
     evidence: &[Evidence<'_>],
     registration: &Registration<frame::Camera, frame::Vehicle>,
     shift: impl Fn(&Evidence<'_>) -> SMatrix<f64, 3, N>,
@@ -279,7 +322,7 @@ fn leave_one_out(evidence: &[Evidence<'_>], pose: &CameraFromVehicle) -> Result<
 }
 
 /// Shift of all features together with the light's direction: translation along the panel.
-fn common_mode(evidence: &[Evidence<'_>], pose: &CameraFromVehicle) -> Matrix6<f64> {
+pub(super) fn common_mode(evidence: &[Evidence<'_>], pose: &CameraFromVehicle) -> Matrix6<f64> {
     let mut out = Matrix6::zeros();
     if let Some(e) = evidence.first() {
         let turn = pose.r.inverse() * e.template.taught_pose().r;

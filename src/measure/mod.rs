@@ -10,6 +10,7 @@ mod body;
 mod consistency;
 mod corner;
 mod cycle;
+mod dense;
 mod depth;
 mod detected;
 mod edges;
@@ -75,6 +76,7 @@ pub struct Measurer {
     /// Depth is looked at in every so many-th column and row of the images, by a rig whose camera has no others.
     every: usize,
     depth_rig: Rig,
+    method: Method,
     shared: Shared,
 }
 
@@ -120,6 +122,7 @@ impl Measurer {
             reach_mm,
             every,
             depth_rig,
+            method: Method::Points,
             shared: Shared::default(),
         }
     }
@@ -132,6 +135,16 @@ impl Measurer {
     /// The same, with what it shares with others.
     pub fn sharing(self, shared: &Shared) -> Self {
         Self { shared: shared.clone(), ..self }
+    }
+
+    /// The same that measures by `method`.
+    pub fn with_method(self, method: Method) -> Self {
+        Self { method, ..self }
+    }
+
+    /// Fewer features that are located make no pose.
+    fn least_features(&self) -> usize {
+        if self.method == Method::Dense { 2 } else { 3 }
     }
 
     /// The camera and projector that it measures with.

@@ -3,7 +3,7 @@
 
 use super::cycle::{Run, contour_windows};
 use super::judge::{self, Evidence, Judged, Refused};
-use super::{Drawing, FeatureResult, Measurement, Method, Station, TargetUncertainty, Uncertainty, Verdict, Xyz};
+use super::{Drawing, FeatureResult, Measurement, Station, TargetUncertainty, Uncertainty, Verdict, Xyz};
 use crate::geometry::{EulerDeg, Point3, frame};
 use nalgebra::Vector3;
 
@@ -20,7 +20,7 @@ impl Run<'_, '_> {
                     Verdict::NotMeasurable,
                     Some(refused.code),
                     detail.trim_end().into(),
-                    Method::Points,
+                    m.method,
                 );
                 out.distance_deviation_mm = refused.distance_deviation_mm;
                 out.features = self.features(None);
@@ -52,7 +52,7 @@ impl Run<'_, '_> {
             Some((verdict, code, detail)) => (verdict, Some(code), detail),
             None => (Verdict::Ok, None, String::new()),
         };
-        let mut out = Measurement::without_pose(c.capture.name(), verdict, code, detail, Method::Points);
+        let mut out = Measurement::without_pose(c.capture.name(), verdict, code, detail, m.method);
         let r = station_from_vehicle.r;
         let at_reference = r * judge::point_covariance(&judged.covariance, &at, &reference.xyz) * r.inverse();
         let u = |variance: f64| 2.0 * variance.max(0.0).sqrt();
@@ -78,6 +78,7 @@ impl Run<'_, '_> {
         out.covariance_at_mm = Some(at.xyz.into());
         out.residual_rms_mm = Some(judged.residual_rms_mm);
         out.distance_deviation_mm = Some(judged.distance_deviation_mm);
+        out.points_minus_dense_mm = judged.points_minus_dense_mm;
         out.features = self.features(Some(judged));
         out
     }

@@ -274,6 +274,9 @@ pub fn table(results: &[Measurement]) -> String {
             (None, None) => format!("{} –", f.name),
         };
         let mut features = m.features.iter().map(status).collect::<Vec<_>>().join(", ");
+        if let Some(mm) = m.points_minus_dense_mm {
+            let _ = write!(features, " · points {mm:.3} mm off");
+        }
         if !m.detail.is_empty() {
             let gap = if features.is_empty() { "" } else { " · " };
             features = format!("{features}{gap}{}", m.detail);

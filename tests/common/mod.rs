@@ -77,6 +77,36 @@ impl Set {
         measure(measurer, &self.capture(name), &mut |_| {}).expect("images can be read")
     }
 
+    /// Measured with something dull close to the lens: in every image a square about each pixel of `covers`, of so many px
+    /// to each side, is evenly grey, softly from its outer quarter on, so that it has no edges or corners of its own.
+    pub(crate) fn measure_covered(&self, measurer: &Measurer, name: &str, covers: &[([f64; 2], f64)]) -> Measurement {
+        let capture = self.capture(name);
+        let load = |file: &Path| {
+            let mut image = capture.load(file).expect("readable");
+            for ([x, y], half) in covers {
+                let range = |c: f64, n: usize| (c - half).max(0.0) as usize..((c + half).max(0.0) as usize).min(n);
+                let (columns, rows) = (range(*x, image.width), range(*y, image.height));
+                for row in rows {
+                    for column in columns.clone() {
+                        let out = (column as f64 - x).abs().max((row as f64 - y).abs()) / half;
+                        let dull = (4.0 * (1.0 - out)).clamp(0.0, 1.0);
+                        let value = &mut image.row_mut(row)[column];
+                        *value = (f64::from(*value) * (1.0 - dull) + 60.0 * dull).round() as u16;
+                    }
+                }
+            }
+            image
+        };
+        let ambient = capture.images.ambient.as_ref().map(|file| load(file));
+        let mut cycle = measurer.begin(&capture, &load(capture.red().expect("red")), ambient.as_ref());
+        for (k, set) in capture.fringes.iter().enumerate() {
+            for (step, file) in (0u32..).zip(&set.images) {
+                cycle.add_fringe(k, step, &load(file)).expect("in order");
+            }
+        }
+        cycle.finish(&mut |_| ()).0
+    }
+
     pub(crate) fn truth(&self, name: &str) -> Truth {
         Truth::read(&self.folder.join(name).join("truth.json"))
     }
@@ -87,6 +117,8 @@ pub(crate) struct Truth {
     pub(crate) camera_from_vehicle: CameraFromVehicle,
     /// In the vehicle and in the camera frame, mm.
     points: Vec<(Vector3<f64>, Vector3<f64>)>,
+    /// In the same order, raw px.
+    pixels: Vec<[f64; 2]>,
 }
 
 impl Truth {
@@ -99,7 +131,9 @@ impl Truth {
         let t = Vector3::from_fn(|i, _| number(&rows[i][3]));
         let point = |f: &Value| (vector(&f["object_mm"]), vector(&f["camera_mm"]));
         let points = value["features"].as_object().expect("features").values().map(point).collect();
-        Self { camera_from_vehicle: Pose::new(r, t), points }
+        let pixel = |f: &Value| [0, 1].map(|i| number(&f["pixel"][i]));
+        let pixels = value["features"].as_object().expect("features").values().map(pixel).collect();
+        Self { camera_from_vehicle: Pose::new(r, t), points, pixels }
     }
 
     /// The motion inverse(true)·measured in vehicle axes, by which a measured pose is off. None: no pose.
@@ -114,6 +148,12 @@ impl Truth {
         let at = Point3::new(Vector3::from(m.covariance_at_mm?));
         let (t, r) = ((motion * at) - at, motion.r.scaled_axis());
         Some(Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z))
+    }
+
+    /// Where a feature of the model is in the image, raw px.
+    pub(crate) fn pixel(&self, feature: &datum::vehicle::Feature) -> [f64; 2] {
+        let same = |p: &(Vector3<f64>, Vector3<f64>)| (p.0 - feature.position().xyz).norm() < SAME_POINT_MM;
+        self.pixels[self.points.iter().position(same).expect("the truth knows every feature")]
     }
 
     /// Errors of the features that were measured, mm, vehicle axes: their names and x, y, z.
