@@ -1,5 +1,6 @@
 //! `datum records`: listing, exporting and replaying, as a user runs it.
 
+use datum::detect::{DEFAULT, Detector};
 use datum::measure::{Measurer, json, measure};
 use datum::records::*;
 use datum::{Calibration, Capture, VehicleFile};
@@ -44,7 +45,9 @@ fn a_day(room: &Room) -> u64 {
     let vehicle = VehicleFile::read(&station("vehicle/suv-a.toml")).expect("a model");
     let templates = vehicle.read_templates().expect("taught");
     let reference = Reference::new(calibration.clone(), vehicle.clone(), templates);
-    let measurer = Measurer::new(calibration, vehicle).expect("templates");
+    // as the program does it: replay must find no difference
+    let detector = Detector::named(Path::new(DEFAULT)).expect("it comes with the program");
+    let measurer = Measurer::new(calibration, vehicle).expect("templates").with_detector(detector);
     let capture = Capture::open(&station("moved")).expect("a capture");
     let (measurement, _) = measure(&measurer, &capture, &mut |_| {}).expect("readable");
 
