@@ -174,6 +174,8 @@ const MAX_STEPS: usize = 8;
 const NORMAL_MM: f64 = 100.0;
 const NORMAL_SIGMA_MM: f64 = 0.3;
 const BEFORE_SIGMA_MM: f64 = 3.5;
+/// An arch's top lies somewhere along it, 1 sigma, mm, as long as nothing else tells the turn about the panel's normal.
+const SLIDES_MM: f64 = 30.0;
 
 /// A point with the panel's normal there: measured and nominal.
 pub(super) type WithNormals = (Pair<frame::Camera, frame::Vehicle>, [Vector3<f64>; 2]);
@@ -206,7 +208,13 @@ pub(super) fn of_few(
 ) -> Result<Registration<frame::Camera, frame::Vehicle>, NoPose> {
     let pair = |e: &Evidence<'_>| {
         let taught = pose.r.inverse() * e.located.taught_normal;
-        (e.pair(pose), [e.located.normal, taught])
+        let mut pair = e.pair(pose);
+        if judge::slides(e.template) {
+            // its top follows the turn that it would be the measure of, and twice as far
+            let along = e.template.local(pose).axes.column(0).into_owned();
+            pair.covariance += along * along.transpose() * SLIDES_MM.powi(2);
+        }
+        (pair, [e.located.normal, taught])
     };
     with_normals(evidence.iter().map(pair), pose)
 }

@@ -77,8 +77,8 @@ impl Set {
         measure(measurer, &self.capture(name), &mut |_| {}).expect("images can be read")
     }
 
-    /// Measured with something dull close to the lens: in every image a square about each pixel of `covers`, of so many px
-    /// to each side, is evenly grey, softly from its outer quarter on, so that it has no edges or corners of its own.
+    /// Measured with a card in front of some regions: in every image a square about each pixel of `covers`, of so many px to
+    /// each side, is evenly grey.
     pub(crate) fn measure_covered(&self, measurer: &Measurer, name: &str, covers: &[([f64; 2], f64)]) -> Measurement {
         let capture = self.capture(name);
         let load = |file: &Path| {
@@ -86,14 +86,7 @@ impl Set {
             for ([x, y], half) in covers {
                 let range = |c: f64, n: usize| (c - half).max(0.0) as usize..((c + half).max(0.0) as usize).min(n);
                 let (columns, rows) = (range(*x, image.width), range(*y, image.height));
-                for row in rows {
-                    for column in columns.clone() {
-                        let out = (column as f64 - x).abs().max((row as f64 - y).abs()) / half;
-                        let dull = (4.0 * (1.0 - out)).clamp(0.0, 1.0);
-                        let value = &mut image.row_mut(row)[column];
-                        *value = (f64::from(*value) * (1.0 - dull) + 60.0 * dull).round() as u16;
-                    }
-                }
+                rows.for_each(|row| image.row_mut(row)[columns.clone()].fill(60));
             }
             image
         };
