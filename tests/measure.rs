@@ -6,7 +6,6 @@ mod common;
 use common::{Set, here, over_sigma};
 use datum::calibrate::ParameterCovariance;
 use datum::measure::{Measurement, Method, Verdict};
-use datum::vehicle::Class;
 use datum::{Calibration, Code, Point3, VehicleFile, frame};
 use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
 use serde_json::Value;
@@ -19,7 +18,6 @@ const FEATURE_MM: f64 = 0.25;
 const SIGMAS: f64 = 4.0;
 /// Half a cover's side: of a corner or the arch 55 mm, of the flap and its opening 90 mm.
 const COVER_PX: f64 = 50.0;
-const FLAP_PX: f64 = 82.0;
 
 fn set() -> (Set, VehicleFile) {
     let set = Set::open(here("station"));
@@ -72,31 +70,18 @@ fn a_moved_vehicle_is_measured_by_all_its_contours_and_surfaces() {
     assert!(apart > 0.0 && apart < TRANSLATION_MM, "{apart} mm");
 }
 
-/// Also where two of the four regions are covered, which leaves no pose of points.
+/// Two regions fix a pose of everything, but what their edges are biased by is then not told from it: no pose is given.
 #[test]
-fn any_two_regions_that_are_left_make_a_pose() {
+fn two_regions_that_are_left_are_too_few_for_any_method() {
     let (set, features) = set();
     let taught = set.teach("taught", &features);
     let truth = set.truth("moved");
-    let [points, dense] = [Method::Points, Method::Dense].map(|m| set.measurer(&taught, "two-left").with_method(m));
-    let (mut refused, mut enough) = (Vec::new(), 0);
-    for covered in [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]] {
-        let covers = covered.map(|k| {
-            let feature = &taught.model.features[k];
-            (truth.pixel(feature), if feature.class == Class::Point3 { FLAP_PX } else { COVER_PX })
-        });
-        if set.measure_covered(&points, "moved", &covers).verdict == Verdict::Ok {
-            enough += 1; // so much of a region peeps out that there are three points
-        }
-        let m = set.measure_covered(&dense, "moved", &covers);
-        if m.verdict == Verdict::NotMeasurable {
-            refused.push(format!("without {covered:?}: {}", m.detail));
-            continue;
-        }
-        check_dense(&m, &truth, &format!("without {covered:?}"), (2.0 * TRANSLATION_MM, 4.0 * ROTATION_DEG));
+    let covers = [0, 1].map(|k| (truth.pixel(&taught.model.features[k]), COVER_PX));
+    for method in [Method::Points, Method::Dense] {
+        let measurer = set.measurer(&taught, "two-left").with_method(method);
+        let m = set.measure_covered(&measurer, "moved", &covers);
+        assert!(m.verdict == Verdict::NotMeasurable && m.camera_from_vehicle.is_none(), "{method:?}: {}", m.detail);
     }
-    assert!(refused.is_empty(), "{refused:#?}");
-    assert!(enough < 3, "covers that leave three points: {enough} of 6");
 }
 
 /// The poses that a calibration off by each of a few errors gives are off by what its covariance says, and a body is

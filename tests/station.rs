@@ -9,7 +9,6 @@ mod common;
 
 use common::{Set, Truth, data, over_sigma, pose, rms};
 use datum::measure::{Measurement, Measurer, Method, TargetUncertainty, Verdict};
-use datum::vehicle::Class;
 use datum::vehicle::Target;
 use datum::{Point3, VehicleFile, frame};
 use nalgebra::{Vector3, Vector6};
@@ -235,33 +234,6 @@ fn the_suv_in_white_and_black_is_measured_with_one_model() {
             missed.push(format!("{method:?}, optional: {} wrong poses given out", summary.wrong)); // refusing is allowed
         }
     }
-    assert!(missed.is_empty(), "{missed:#?}");
-}
-
-/// Any two regions that are left make a pose of everything they show.
-#[test]
-fn the_suv_is_measured_by_any_two_of_its_regions() {
-    let Some(folder) = data("station") else { return };
-    let set = Set::open(folder);
-    let taught = set.teach(TAUGHT, &features(&set, TAUGHT));
-    let measurer = set.measurer(&taught, "station-covered").with_method(Method::Dense);
-    let pairs = [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]];
-    let cases: Vec<_> = ["white-yawtt_07", "black-rnd_01"].into_iter().flat_map(|n| pairs.map(|p| (n, p))).collect();
-    let row = |(name, covered): (&str, [usize; 2])| {
-        let truth = set.truth(name);
-        let covers = covered.map(|k| {
-            let feature = &taught.model.features[k];
-            // 55 mm, and 90 mm about the flap
-            (truth.pixel(feature), if feature.class == Class::Point3 { 164.0 } else { 100.0 })
-        });
-        let m = set.measure_covered(&measurer, name, &covers);
-        Row::of(m, truth, &taught.model, &format!("{name} {covered:?}"), true)
-    };
-    let rows: Vec<Row> = cases.into_par_iter().map(row).collect();
-    print("station: SUV, two regions covered", &rows);
-    let summary = Summary::of(&rows.iter().collect::<Vec<_>>());
-    summary.print("two regions left", rows.len(), &POINTS);
-    let missed = summary.missed("two regions left", rows.len(), &POINTS);
     assert!(missed.is_empty(), "{missed:#?}");
 }
 

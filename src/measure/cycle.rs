@@ -12,7 +12,7 @@ use super::locate::{Located, locate};
 use super::moved::Motion;
 use super::regions::Region;
 use super::workspace::Buffers;
-use super::{Drawing, Measurement, Measurer, Method, TYPICAL_DISTANCE_MM, dense, detected};
+use super::{Drawing, Measurement, Measurer, Method, TYPICAL_DISTANCE_MM, detected};
 use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
 use crate::fringe::{self, Axis, Depth, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
@@ -252,26 +252,7 @@ impl<'c> Run<'c, '_> {
             pose = self.second_pose(&body.coarse).unwrap_or(first);
         }
         ended(Stage::Surface);
-        let mut outcome = self.on_body(&body, pose, &red_noise, ended);
-        if m.method == Method::Dense && outcome.is_err() && self.evidence().len() < 3 {
-            // one region or two may be something beside their features: any two that are theirs make a pose
-            let pairs = self.poses_of_two(&body.coarse);
-            if !pairs.iter().all(|p| within(p, &first, m, MARGIN_USED_MM)) {
-                *depths = body.map.pixels;
-                *decoded = Decoded::new(&c.buffers.fringes, c.capture).map_err(|mut e| ambiguous(&mut e))?;
-                body = self.depth(decoded, depths, &far)?;
-            }
-            let mut others = pairs.into_iter();
-            while outcome.is_err()
-                && let Some(pose) = others.next()
-            {
-                let located = self.located.clone();
-                outcome = self.on_body(&body, pose, &red_noise, ended).or(outcome);
-                if outcome.is_err() {
-                    self.located = located; // the first says why
-                }
-            }
-        }
+        let outcome = self.on_body(&body, pose, &red_noise, ended);
         *depths = body.map.pixels;
         outcome
     }
@@ -325,15 +306,11 @@ impl<'c> Run<'c, '_> {
             let growth = opening.and_then(|k| self.located[k].as_ref().ok()).map_or(UNKNOWN_GROWTH_MM, |l| l.growth_mm);
             self.located.iter_mut().flatten().for_each(|l| l.growth_mm = growth);
             let evidence = self.evidence();
-            if evidence.len() < m.least_features() {
+            if evidence.len() < 3 {
                 ended(Stage::Contour);
                 return Err(self.too_few());
             }
-            let next = match evidence.len() {
-                3.. => judge::fit(&evidence, &pose),
-                _ => dense::of_few(&evidence, &pose),
-            };
-            let next = next.map_err(|e| Self::refuse(Code::TooFewFeatures, e.to_string()))?;
+            let next = judge::fit(&evidence, &pose).map_err(|e| Self::refuse(Code::TooFewFeatures, e.to_string()))?;
             let change = pose.inverse() * next.a_from_b;
             let shift = (change * next.at - next.at).norm();
             pose = next.a_from_b;
@@ -343,11 +320,10 @@ impl<'c> Run<'c, '_> {
         }
         self.pose = Some(pose);
         ended(Stage::Contour);
-        let evidence = self.evidence();
-        let points = (evidence.len() >= 3).then(|| judge::judge(&evidence, &pose, &m.vehicle)).transpose()?;
-        match points {
-            Some(points) if m.method != Method::Dense => Ok(points),
-            points => self.dense(points, pose, &samples, &rays),
+        let points = judge::judge(&self.evidence(), &pose, &m.vehicle)?;
+        match m.method {
+            Method::Dense => self.dense(&points, pose, &samples, &rays),
+            _ => Ok(points),
         }
     }
 
@@ -457,34 +433,21 @@ impl<'c> Run<'c, '_> {
             .collect()
     }
 
-    /// The regions that were found, each as where its ray meets the coarse surface, with the surface's normal there and the
-    /// nominal one.
-    fn on_coarse(&self, coarse: &Surface<frame::Camera>, pose: &CameraFromVehicle) -> Option<Vec<dense::WithNormals>> {
+    /// The pose from the regions' rays and the coarse surface.
+    fn second_pose(&self, coarse: &Surface<frame::Camera>) -> Option<CameraFromVehicle> {
         let c = self.cycle;
         let camera = &c.measurer.calibration.rig.camera;
-        let mut found = Vec::new();
+        let pose = c.first_pose?;
+        let mut pairs = Vec::new();
         for (template, region) in c.measurer.templates.iter().zip(&c.regions) {
             let Ok(region) = region else { continue };
-            let axes = template.local(pose).axes;
-            let met = coarse.meet(&camera.ray(&region.pixel)?, 0.0)?;
-            let measured = coarse.local.point(&met);
+            let axes = template.local(&pose).axes;
+            let measured = coarse.local.point(&coarse.meet(&camera.ray(&region.pixel)?, 0.0)?);
             let along = if judge::slides(template) { 15.0f64 } else { 1.5 };
             let sigma = Matrix3::from_diagonal(&Vector3::new(along.powi(2), 2.0, 0.1));
             let nominal = Point3::new(Vector3::from(template.point_mm));
-            let pair = Pair { measured, nominal, covariance: axes * sigma * axes.transpose() };
-            found.push((pair, [coarse.normal(&met.xy()), Vector3::from(template.axes[2])]));
+            pairs.push(Pair { measured, nominal, covariance: axes * sigma * axes.transpose() });
         }
-        Some(found)
-    }
-
-    /// The pose from the regions' rays and the coarse surface.
-    fn second_pose(&self, coarse: &Surface<frame::Camera>) -> Option<CameraFromVehicle> {
-        let pose = self.cycle.first_pose?;
-        let found = self.on_coarse(coarse, &pose)?;
-        if found.len() == 2 && self.cycle.measurer.method == Method::Dense {
-            return Some(dense::with_normals(found.into_iter(), &pose).ok()?.a_from_b);
-        }
-        let pairs: Vec<_> = found.into_iter().map(|(pair, _)| pair).collect();
         let all = register(&pairs).ok()?;
         if all.chi2 <= CONTRADICTING {
             return Some(all.a_from_b);
@@ -493,20 +456,6 @@ impl<'c> Run<'c, '_> {
         let without = |k: usize| register(&[&pairs[..k], &pairs[k + 1..]].concat()).ok();
         let best = (0..pairs.len()).filter_map(without).min_by(|a, b| a.chi2.total_cmp(&b.chi2));
         Some(best.filter(|b| b.chi2 <= CONTRADICTING).unwrap_or(all).a_from_b)
-    }
-
-    /// Poses of every two of the regions that do not contradict each other.
-    fn poses_of_two(&self, coarse: &Surface<frame::Camera>) -> Vec<CameraFromVehicle> {
-        let m = self.cycle.measurer;
-        // what the others say must not lean on one that is none of them
-        let taught = m.templates[0].taught_pose();
-        let found = self.on_coarse(coarse, &taught).unwrap_or_default();
-        let found = &found;
-        let twos = (0..found.len()).flat_map(|i| (0..i).map(move |j| [found[i], found[j]]));
-        let mut poses: Vec<_> = twos.filter_map(|two| dense::with_normals(two.into_iter(), &taught).ok()).collect();
-        poses.retain(|p| p.chi2 <= CONTRADICTING);
-        poses.sort_by(|a, b| a.chi2.total_cmp(&b.chi2));
-        poses.into_iter().map(|p| p.a_from_b).collect()
     }
 }
 

@@ -13,8 +13,7 @@ use super::judge::{self, Evidence, Judged, Refused};
 use super::locate::{Located, on_panel};
 use crate::code::Code;
 use crate::geometry::{
-    Distance, Joint, NoPose, Pair, Point3, Polynomial, Pose, Registration, frame, motion_jacobian, register,
-    register_jointly,
+    Distance, Joint, Pair, Point3, Polynomial, Pose, Registration, frame, motion_jacobian, register, register_jointly,
 };
 use crate::vehicle::{Feature, Template};
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
@@ -169,62 +168,11 @@ const DISAGREEING: f64 = 6.0;
 /// change with every step.
 const STILL: f64 = 0.1;
 const MAX_STEPS: usize = 8;
-/// Two features' points and their panel's normals fix a pose: a normal stands for a point so far above its own, mm, that
-/// is known so much worse, mm. What is known of the pose before, a few degrees, stands for points beside it.
-const NORMAL_MM: f64 = 100.0;
-const NORMAL_SIGMA_MM: f64 = 0.3;
-const BEFORE_SIGMA_MM: f64 = 3.5;
-/// An arch's top lies somewhere along it, 1 sigma, mm, as long as nothing else tells the turn about the panel's normal.
-const SLIDES_MM: f64 = 30.0;
-
-/// A point with the panel's normal there: measured and nominal.
-pub(super) type WithNormals = (Pair<frame::Camera, frame::Vehicle>, [Vector3<f64>; 2]);
-
-/// The pose, near `before`, that points with the panel's normals make: pairs of points, measured and nominal normals. An
-/// arch's point slides along it, and normals say nothing about the turn that makes.
-pub(super) fn with_normals(
-    pairs: impl Iterator<Item = WithNormals>,
-    before: &CameraFromVehicle,
-) -> Result<Registration<frame::Camera, frame::Vehicle>, NoPose> {
-    let with = |(pair, [measured, nominal]): WithNormals| {
-        let beside = |measured: Vector3<f64>, nominal: Vector3<f64>, spread: Matrix3<f64>| Pair {
-            measured: Point3::new(pair.measured.xyz + measured * NORMAL_MM),
-            nominal: Point3::new(pair.nominal.xyz + nominal * NORMAL_MM),
-            covariance: pair.covariance + spread,
-        };
-        let level = nominal.cross(&Vector3::z()).normalize();
-        let tilt = Matrix3::identity() * NORMAL_SIGMA_MM.powi(2);
-        // only the turn about the normal: vehicles yaw by more
-        let turn = Matrix3::identity() * BEFORE_SIGMA_MM.powi(2) + measured * measured.transpose() * NORMAL_MM.powi(2);
-        [pair, beside(measured, nominal, tilt), beside(before.r * level, level, turn)]
-    };
-    register(&pairs.flat_map(with).collect::<Vec<_>>())
-}
-
-/// The same of located features about `pose`.
-pub(super) fn of_few(
-    evidence: &[Evidence<'_>],
-    pose: &CameraFromVehicle,
-) -> Result<Registration<frame::Camera, frame::Vehicle>, NoPose> {
-    let pair = |e: &Evidence<'_>| {
-        let taught = pose.r.inverse() * e.located.taught_normal;
-        let mut pair = e.pair(pose);
-        if judge::slides(e.template) {
-            // its top follows the turn that it would be the measure of, and twice as far
-            let along = e.template.local(pose).axes.column(0).into_owned();
-            pair.covariance += along * along.transpose() * SLIDES_MM.powi(2);
-        }
-        (pair, [e.located.normal, taught])
-    };
-    with_normals(evidence.iter().map(pair), pose)
-}
-
 impl Run<'_, '_> {
-    /// The pose of all regions whose features were located, from `pose` on; held against that of the points, where there
-    /// is one.
+    /// The pose of all regions whose features were located, from `pose` on; held against that of the points.
     pub(super) fn dense(
         &self,
-        points: Option<Judged>,
+        points: &Judged,
         mut pose: CameraFromVehicle,
         samples: &[Samples],
         rays: &[EdgeRay],
@@ -258,13 +206,9 @@ impl Run<'_, '_> {
         self.judged(&dense, &evidence, points)
     }
 
-    fn judged(&self, dense: &Dense, evidence: &[Evidence<'_>], points: Option<Judged>) -> Result<Judged, Refused> {
-        let m = self.cycle.measurer;
+    fn judged(&self, dense: &Dense, evidence: &[Evidence<'_>], points: &Judged) -> Result<Judged, Refused> {
         let (pose, joint, at) = (dense.pose, &dense.joint, Point3::new(dense.at));
-        let deviation = match &points {
-            Some(points) => points.distance_deviation_mm,
-            None => judge::distances(evidence, &pose, &m.vehicle)?,
-        };
+        let deviation = points.distance_deviation_mm;
         let refused = |code, detail| Refused { code, detail, distance_deviation_mm: Some(deviation) };
         if joint.biases_chi2 > CONTRADICTING * CONTRADICTING {
             let detail = format!(
@@ -273,19 +217,13 @@ impl Run<'_, '_> {
             );
             return Err(refused(Code::Residual, detail));
         }
-        let points_minus_dense_mm = match &points {
-            Some(points) => {
-                let sigmas = disagreement(evidence, &pose, &at, &joint.covariance)
-                    .ok_or_else(|| refused(Code::TooFewFeatures, "the features' points determine no pose".into()))?;
-                let mm = (points.registration.a_from_b * at - pose * at).norm();
-                if sigmas > DISAGREEING {
-                    let detail = format!("They are {mm:.3} mm or {sigmas:.1} sigmas apart, allowed {DISAGREEING}.");
-                    return Err(refused(Code::DenseDisagrees, detail));
-                }
-                Some(mm)
-            }
-            None => None,
-        };
+        let sigmas = disagreement(evidence, &pose, &at, &joint.covariance)
+            .ok_or_else(|| refused(Code::TooFewFeatures, "the features' points determine no pose".into()))?;
+        let apart_mm = (points.registration.a_from_b * at - pose * at).norm();
+        if sigmas > DISAGREEING {
+            let detail = format!("They are {apart_mm:.3} mm or {sigmas:.1} sigmas apart, allowed {DISAGREEING}.");
+            return Err(refused(Code::DenseDisagrees, detail));
+        }
         let residuals: Vec<Vector3<f64>> =
             evidence.iter().map(|e| pose.inverse() * e.located.point - e.feature.position()).collect();
         let to_vehicle = *pose.r.inverse().matrix();
@@ -293,7 +231,7 @@ impl Run<'_, '_> {
             covariance: joint.covariance + self.taught_covariance(&dense.at) + judge::common_mode(evidence, &pose),
             residual_rms_mm: judge::rms(&residuals),
             distance_deviation_mm: deviation,
-            points_minus_dense_mm,
+            points_minus_dense_mm: Some(apart_mm),
             gain: joint.gain.iter().map(|gain| gain * to_vehicle).collect(),
             registration: Registration {
                 a_from_b: pose,
@@ -357,35 +295,6 @@ fn disagreement(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::Rotation3;
-
-    #[test]
-    fn two_points_with_their_normals_are_a_pose_also_where_one_slides() {
-        let pose =
-            CameraFromVehicle::new(Rotation3::from_euler_angles(1.6, 0.02, 3.1), Vector3::new(-2645.0, 777.0, 1656.0));
-        let at = [[-2476.0, 874.0, 671.0], [-2640.0, 875.0, 710.0]].map(Vector3::from);
-        let normals = [Vector3::new(0.05, 1.0, 0.1), Vector3::new(-0.02, 1.0, 0.2)].map(|n| n.normalize());
-        for (along_mm, degrees, off_deg) in [(0.05, 2.0, 0.03), (15.0, 2.0, 2.5)] {
-            let pair = |k: usize| {
-                let along = if k == 1 { along_mm } else { 0.05 };
-                let sigma = Matrix3::from_diagonal(&Vector3::new(along, 0.01, 0.05)).map(|s| s * s);
-                let r = *pose.r.matrix();
-                // the arch's point lies beside its place
-                let slid = Vector3::new(if k == 1 { 0.5 * along } else { 0.0 }, 0.0, 0.0);
-                let pair = Pair {
-                    measured: pose * Point3::new(at[k] + slid),
-                    nominal: Point3::<frame::Vehicle>::new(at[k]),
-                    covariance: r * sigma * r.transpose(),
-                };
-                (pair, [pose.r * normals[k], normals[k]])
-            };
-            let before =
-                pose * Pose::new(Rotation3::new(Vector3::new(0.0, f64::to_radians(degrees), 0.0)), Vector3::zeros());
-            let got = with_normals((0..2).map(pair), &before).expect("a pose").a_from_b;
-            let off = (pose.inverse() * got).r.angle().to_degrees();
-            assert!(off < off_deg, "{along_mm}: {off}°");
-        }
-    }
 
     #[test]
     fn places_of_one_square_share_a_block_and_no_other_does() {

@@ -142,11 +142,6 @@ impl Measurer {
         Self { method, ..self }
     }
 
-    /// Fewer features that are located make no pose.
-    fn least_features(&self) -> usize {
-        if self.method == Method::Dense { 2 } else { 3 }
-    }
-
     /// The camera and projector that it measures with.
     pub fn rig(&self) -> &Rig {
         &self.calibration.rig
