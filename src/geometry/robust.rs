@@ -66,6 +66,9 @@ const SUBSETS: usize = 100;
 ///
 /// Torr, Zisserman, "MLESAC", Computer Vision and Image Understanding 78 (2000), there called MSAC.
 pub fn start<M>(n: usize, fit: impl Fn(&[usize]) -> Option<M>, loss: impl Fn(&M, f64) -> f64) -> Option<M> {
+    if n == 0 {
+        return None;
+    }
     let mut state = 1u64;
     let mut pick = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407); // Knuth's MMIX
@@ -126,6 +129,7 @@ mod tests {
         let loss = |m: &f64, most: f64| truncated(values.iter().map(|v| v - m), most);
         let got = start(100, mean, loss).expect("means exist");
         assert!((0.5..1.5).contains(&got), "{got}");
+        assert_eq!(start(0, mean, loss), None, "of nothing");
     }
 
     #[test]
