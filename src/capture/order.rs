@@ -3,11 +3,14 @@
 //! Not here: which image was taken when (drivers); single pixels that are bad (`fringe`).
 //!
 //! Within a set an image of another pattern does not lie on the sine through the others: the fit's residual, as a share of
-//! the modulation, is then some 0.2 to 0.7 where a right one has some 0.05. A set that runs backwards still is a sine, and
+//! the modulation, is then some 0.2 to 0.7 where a right one has some 0.05. Only what is the same of two pixels side by side
+//! along the fringes counts: noise, and a projector's dither on glittering paint, is not, whatever its size, and another
+//! pattern is. A set that runs backwards still is a sine, and
 //! so is one that begins with another step, but then its phase does not fit the next coarser set's any more. (A coarsest set
 //! that begins with another of its own steps cannot be told from a body elsewhere; no camera that is late makes one.)
 
 use crate::fringe::Axis;
+use crate::geometry::robust::median;
 use crate::hal::Sensor;
 use crate::image::Image;
 use std::f64::consts::{FRAC_PI_8, PI, TAU};
@@ -22,11 +25,11 @@ const FEWEST: usize = 100;
 /// More say nothing more.
 const MOST: usize = 4000;
 
-/// Phase and modulation of a pixel in one set, its residual's variance (DN², noise taken off) and noise variance.
+/// The sine of a pixel in one set: mean (DN), phase (rad), modulation (DN); and the variance of its noise, DN².
 struct Fit {
+    mean: f64,
     phase: f64,
     modulation: f64,
-    excess: f64,
     noise: f64,
 }
 
@@ -42,14 +45,19 @@ pub fn check_order(
     let mut first = 0;
     // of each set, per pixel: what was fitted where there is light enough and none is saturated
     let mut fits: Vec<Vec<Option<Fit>>> = Vec::with_capacity(sets.len());
-    for &(_, count, steps) in sets {
+    for &(axis, count, steps) in sets {
         let of_set = &images[first..first + steps as usize];
         first += steps as usize;
         let fitted: Vec<Option<Fit>> = pixels().map(|at| fit(of_set, at, sensor, gain)).collect();
-        let mut shares: Vec<f64> =
-            fitted.iter().flatten().map(|f| (f.excess.max(0.0) / f.modulation.powi(2)).sqrt()).collect();
+        let along = if axis == Axis::Column { sensor.width } else { 1 };
+        let share = |(at, fitted): (usize, &Option<Fit>)| {
+            let (one, beside) = (fitted.as_ref()?, fit(of_set, at + along, sensor, gain)?);
+            let common = common_residual(of_set, (at, one), (at + along, &beside));
+            Some(common / (one.modulation * beside.modulation))
+        };
+        let mut shares: Vec<f64> = pixels().zip(&fitted).filter_map(share).collect();
         if steps > 3 && shares.len() >= FEWEST {
-            let residual = median(&mut shares);
+            let residual = median(&mut shares).max(0.0).sqrt();
             if residual > RESIDUAL {
                 return Err(format!(
                     "The {steps} images of {count} fringes lie off their sine by {residual:.2} of its amplitude, allowed \
@@ -86,27 +94,34 @@ pub fn check_order(
     Ok(())
 }
 
+/// The sine through a pixel's levels; none where it is not in the images, saturated or too dim.
 fn fit(images: &[&Image<u16>], at: usize, sensor: &Sensor, gain: f64) -> Option<Fit> {
     let n = images.len() as f64;
-    let angle = |k: usize| TAU * k as f64 / n;
-    let (mut a, mut c, mut s, mut square) = (0.0, 0.0, 0.0, 0.0);
+    let (mut mean, mut c, mut s) = (0.0, 0.0, 0.0);
     for (k, image) in images.iter().enumerate() {
-        let level = image.pixels[at];
+        let level = *image.pixels.get(at)?;
         if level >= sensor.white_level {
             return None;
         }
-        let level = f64::from(level);
-        let (sin, cos) = angle(k).sin_cos();
-        (a, c, s, square) =
-            (a + level / n, c + 2.0 / n * level * cos, s - 2.0 / n * level * sin, square + level * level);
+        let level = f64::from(level) / n;
+        let (sin, cos) = (TAU * k as f64 / n).sin_cos();
+        (mean, c, s) = (mean + level, c + 2.0 * level * cos, s - 2.0 * level * sin);
     }
-    // the squares that the sine does not explain
     let modulation = c.hypot(s);
-    let rest = (square - n * (a * a + modulation * modulation / 2.0)).max(0.0);
     let dn = gain * sensor.dn_per_electron;
-    let noise = dn * (a - sensor.black_level).max(0.0) + (dn * sensor.read_noise_e).powi(2) + 1.0 / 12.0;
+    let noise = dn * (mean - sensor.black_level).max(0.0) + (dn * sensor.read_noise_e).powi(2) + 1.0 / 12.0;
     let enough = modulation > SIGMAS * noise.sqrt();
-    enough.then(|| Fit { phase: s.atan2(c), modulation, excess: rest / (n - 3.0).max(1.0) - noise, noise })
+    enough.then(|| Fit { mean, phase: s.atan2(c), modulation, noise })
+}
+
+/// The covariance of what two pixels' sines leave of their levels, DN²: the residual's variance without what is each pixel's own.
+fn common_residual(images: &[&Image<u16>], one: (usize, &Fit), other: (usize, &Fit)) -> f64 {
+    let n = images.len() as f64;
+    let rest = |k: usize, image: &Image<u16>, (at, fit): (usize, &Fit)| {
+        f64::from(image.pixels[at]) - fit.mean - fit.modulation * (fit.phase + TAU * k as f64 / n).cos()
+    };
+    let products = images.iter().enumerate().map(|(k, image)| rest(k, image, one) * rest(k, image, other));
+    products.sum::<f64>() / (n - 3.0).max(1.0)
 }
 
 fn wrapped(angle: f64) -> f64 {
@@ -114,15 +129,11 @@ fn wrapped(angle: f64) -> f64 {
     if turned > PI { turned - TAU } else { turned }
 }
 
-fn median(values: &mut [f64]) -> f64 {
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::fringe::PatternSet;
+    use crate::testing::Noise;
 
     const SETS: [(Axis, u32, u32); 3] = [(Axis::Column, 64, 8), (Axis::Column, 8, 4), (Axis::Column, 1, 4)];
 
@@ -167,6 +178,28 @@ mod tests {
         assert_eq!(check(&images()), Ok(()));
         let dark: Vec<_> = (0..16).map(|_| Image::filled(640, 4, 3)).collect();
         assert_eq!(check(&dark), Ok(()), "nothing can be said");
+    }
+
+    /// In the finest set a fifth of the modulation, several times what the sensor has, as a projector's dither on glittering
+    /// paint makes. (Coarse sets are held against finer ones, which so much noise would make meaningless.)
+    #[test]
+    fn pixels_that_glitter_are_no_other_pattern_and_hide_none() {
+        let mut noise = Noise::new(6);
+        let mut right = images();
+        for (k, image) in right.iter_mut().enumerate() {
+            let sigma = if k < 8 { 12.0 } else { 3.0 };
+            for level in &mut image.pixels {
+                *level = (f64::from(*level) + sigma * noise.gauss()).clamp(0.0, 254.0) as u16;
+            }
+        }
+        assert_eq!(check(&right), Ok(()));
+        for set in [0..8, 8..12, 12..16] {
+            for (k, other) in set.clone().flat_map(|k| set.clone().map(move |other| (k, other))) {
+                let mut wrong = right.clone();
+                wrong[k] = right[other].clone();
+                assert!(k == other || check(&wrong).is_err(), "{k} shows {other}");
+            }
+        }
     }
 
     #[test]

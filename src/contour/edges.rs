@@ -217,7 +217,7 @@ const SPACING: f64 = 0.7;
 /// `body` gives the grey level of the surface about a place: brighter is glint and does not count. A profile is the
 /// mean of five parallel ones, so neighbouring edgels share noise; `variance` is stated so that a sum over all of
 /// them is right. At a blur of 0.8 px and 80 grey levels over 1.8 of noise isolated edges reach 1.27 times the bound
-/// `σ_I·√(2√π·s)/C` (limits: Rao, Cramér) and 0.002 px of bias. A gap without a floor, below 5 px, draws its edges in: 0.09 px at 4 px, 0.24 px at 3 px.
+/// `σ_I·√(2√π·s)/C` (limits: Rao, Cramér) and 0.003 px of bias. A gap without a floor, below 5 px, draws its edges in: 0.09 px at 4 px, 0.24 px at 3 px.
 pub fn cross_level(
     image: &Image<f32>,
     edgels: &[Edgel],

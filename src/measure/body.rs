@@ -435,6 +435,27 @@ mod tests {
     use std::collections::BTreeMap;
 
     #[test]
+    fn a_patch_about_another_place_is_the_same_surface() {
+        let axes = nalgebra::Rotation3::from_euler_angles(3.0, 0.2, -0.1);
+        let here = Local { origin: Point3::new(Vector3::new(-150.0, 120.0, 790.0)), axes: axes.into_inner() };
+        let turned = axes * nalgebra::Rotation3::from_euler_angles(0.002, -0.003, 0.004);
+        let there = Local { origin: here.point(&Vector3::new(0.3, -0.4, 0.2)), axes: turned.into_inner() };
+        let flat = Polynomial::from_coefficients(40.0, &[0.0; 3]).expect("an order");
+        let shape = Shape::Taught(&flat, 60.0);
+        let index = (-15..15).flat_map(|i| (-15..15).map(move |j| [i, j]));
+        let cell = |index: [i32; 2]| {
+            let uv = Vector2::from(index.map(|k| CELL_MM * (f64::from(k) + 0.5)));
+            Cell { index, uv, w: 0.1 + 1e-3 * uv.x - 2e-3 * uv.y, variance: 1e-4 }
+        };
+        let patch = Patch::new(here, index.map(cell).collect(), 1.0, &shape).expect("a plane");
+        let moved = patch.moved(there, &shape).expect("the same plane");
+        for uv in [Vector2::new(0.0, 0.0), Vector2::new(30.0, -20.0), Vector2::new(-25.0, 40.0)] {
+            let on = here.coordinates(moved.surface.point(&uv));
+            assert!((on.z - patch.surface.polynomial.height(&on.xy())).abs() < 1e-6, "{on}");
+        }
+    }
+
+    #[test]
     fn sums_in_a_grid_are_those_of_a_map_of_cells() {
         let mut noise = Noise::new(6);
         let (mut grid, mut map) = (CellSums::new(30.0), BTreeMap::<[i32; 2], [f64; 4]>::new());

@@ -322,7 +322,7 @@ impl<'c> Run<'c, '_> {
         ended(Stage::Contour);
         let points = judge::judge(&self.evidence(), &pose, &m.vehicle)?;
         match m.method {
-            Method::Dense => self.dense(&points, pose, &samples, &rays),
+            Method::Dense => self.dense(&points, pose, &patches, &rays),
             _ => Ok(points),
         }
     }

@@ -6,7 +6,7 @@
 //! A feature's point is three numbers, its panel's tilt two more; a contour is a hundred and a patch a thousand. They are
 //! not independent: what moves them together is an unknown of its own with what is known of it beforehand.
 
-use super::body::{Patch, Samples, Shape};
+use super::body::{Patch, Shape};
 use super::cycle::{Run, sites};
 use super::edges::EdgeRay;
 use super::judge::{self, Evidence, Judged, Refused};
@@ -168,13 +168,15 @@ const DISAGREEING: f64 = 6.0;
 /// change with every step.
 const STILL: f64 = 0.1;
 const MAX_STEPS: usize = 8;
+
 impl Run<'_, '_> {
-    /// The pose of all regions whose features were located, from `pose` on; held against that of the points.
+    /// The pose of all regions whose features were located, from `pose` on, near which their `patches` were made; held against
+    /// that of the points.
     pub(super) fn dense(
         &self,
         points: &Judged,
         mut pose: CameraFromVehicle,
-        samples: &[Samples],
+        patches: &[Result<Patch, Code>],
         rays: &[EdgeRay],
     ) -> Result<Judged, Refused> {
         let m = self.cycle.measurer;
@@ -187,7 +189,7 @@ impl Run<'_, '_> {
             let features = &m.vehicle.features;
             let region = |&k: &usize| {
                 let shape = Shape::Taught(&m.surfaces[k], m.templates[k].surface.radius_mm);
-                let patch = samples[k].patch(&sites[k], &shape)?;
+                let patch = patches[k].as_ref().map_err(|code| *code)?.moved(sites[k].local, &shape)?;
                 let located = self.located[k].as_ref().map_err(|code| *code)?;
                 Ok(Region { feature: &features[k], template: &m.templates[k], surface: &m.surfaces[k], patch, located })
             };

@@ -129,13 +129,13 @@ impl Evidence<'_> {
     }
 
     /// Covariance of the taught point on its panel and of the body, the same for every vehicle of the model, camera axes.
-    pub(super) fn model_covariance(&self, pose: &CameraFromVehicle) -> Matrix3<f64> {
+    fn model_covariance(&self, pose: &CameraFromVehicle) -> Matrix3<f64> {
         let axes = self.template.local(pose).axes;
         axes * self.template.covariance() * axes.transpose()
             + Matrix3::identity() * self.feature.position_sigma_mm.powi(2)
     }
 
-    pub(super) fn pair(&self, pose: &CameraFromVehicle) -> Pair<frame::Camera, frame::Vehicle> {
+    fn pair(&self, pose: &CameraFromVehicle) -> Pair<frame::Camera, frame::Vehicle> {
         Pair {
             measured: self.located.point,
             nominal: self.feature.position(),
@@ -227,11 +227,7 @@ pub(super) fn rms(residuals: &[Vector3<f64>]) -> f64 {
 
 /// The largest deviation of a distance from nominal, mm, or the refusal. Distances need no pose, so no pose can hide them;
 /// `pose` only turns covariances.
-pub(super) fn distances(
-    evidence: &[Evidence<'_>],
-    pose: &CameraFromVehicle,
-    model: &VehicleFile,
-) -> Result<f64, Refused> {
+fn distances(evidence: &[Evidence<'_>], pose: &CameraFromVehicle, model: &VehicleFile) -> Result<f64, Refused> {
     let mut worst = 0f64;
     let mut too_far: Option<String> = None;
     for (i, a) in evidence.iter().enumerate() {

@@ -10,7 +10,7 @@ use super::selftest;
 use super::simulated::{Simulated, Traffic, World};
 use crate::calibrate::Calibration;
 use crate::hal::linux::{MonotonicClock, Stream};
-use crate::hal::{Clock, Error, Pool};
+use crate::hal::{Clock, Error, Pool, Sensor};
 use crate::image::Image;
 use crate::records::space;
 use std::error::Error as _;
@@ -414,6 +414,15 @@ fn judge_presence(present: bool, light: f64) -> Finding {
     }
 }
 
+/// The mean of an image above black, as a share of white; `None` where some of it is saturated: of two images whose means
+/// leave out what is saturated, each its own, the darker one may be the one that had more light.
+fn level(image: &Image<u16>, sensor: &Sensor) -> Option<f64> {
+    let all = || (0..image.pixels.len()).step_by(37);
+    let saturated = all().filter(|at| image.pixels[*at] >= sensor.white_level).count();
+    let [mean] = means([image], all(), sensor)?;
+    (100 * saturated <= all().count()).then_some(mean)
+}
+
 /// Flashes grey and black: whether the camera sees it, and how long after it was shown.
 fn flashes(hardware: &mut Hardware, clock: &dyn Clock, config: &StationFile) -> Result<Finding, Error> {
     const ABOUT: &str = "projector's light";
@@ -423,10 +432,9 @@ fn flashes(hardware: &mut Hardware, clock: &dyn Clock, config: &StationFile) -> 
     let pictures = selftest::cycle_pictures(width, height);
     let grey = pictures.len() - 1;
     hardware.projector.load(&pictures)?;
-    let level = |hardware: &mut Hardware, image: &mut Image<u16>| -> Result<(Option<f64>, Duration), Error> {
+    let grab = |hardware: &mut Hardware, image: &mut Image<u16>| -> Result<(Option<f64>, Duration), Error> {
         let exposure = hardware.camera.grab(TIMEOUT, image)?;
-        let all = (0..image.pixels.len()).step_by(37);
-        Ok((means([&*image], all, &sensor).map(|[m]| m), exposure.begun_at))
+        Ok((level(image, &sensor), exposure.begun_at))
     };
     for exposure in EXPOSURES {
         hardware.camera.set_exposure(exposure)?;
@@ -436,7 +444,7 @@ fn flashes(hardware: &mut Hardware, clock: &dyn Clock, config: &StationFile) -> 
             hardware.projector.show(picture)?;
             let mut last = None;
             for _ in 0..4 {
-                last = level(hardware, &mut image)?.0;
+                last = grab(hardware, &mut image)?.0;
             }
             saturated |= last.is_none();
             *steady = last.unwrap_or(1.0);
@@ -462,7 +470,7 @@ fn flashes(hardware: &mut Hardware, clock: &dyn Clock, config: &StationFile) -> 
             hardware.projector.show(if lights { Some(grey) } else { None })?;
             let shown = clock.now();
             for _ in 0..20 {
-                let (found, begun_at) = level(hardware, &mut image)?;
+                let (found, begun_at) = grab(hardware, &mut image)?;
                 let after = begun_at.saturating_sub(shown);
                 if follows(found.unwrap_or(1.0), lights) {
                     by = by.max(after);
@@ -558,6 +566,21 @@ mod tests {
             let named = found.iter().any(|f| f.health == Health::Bad && f.about == about && f.hint.starts_with(says));
             assert!(named, "{fault:?}: {found:?}");
         }
+    }
+
+    /// A near white panel on a dark wall: in the longest exposure the grey saturates the panel, and the wall hardly changes.
+    #[test]
+    fn an_image_that_is_partly_saturated_has_no_level() {
+        let sensor = Simulated::new(0.25, 1).hardware().camera.sensor().clone();
+        let mut image = Image::filled(sensor.width, sensor.height, 40);
+        let dark = level(&image, &sensor).expect("nothing is saturated");
+        assert!((dark - 38.0 / 253.0).abs() < 1e-9, "{dark}");
+        let half = image.pixels.len() / 2;
+        image.pixels[..half].fill(sensor.white_level);
+        assert_eq!(level(&image, &sensor), None);
+        image.pixels.fill(40);
+        image.pixels[..37].fill(sensor.white_level); // a glint
+        assert!(level(&image, &sensor).is_some());
     }
 
     #[test]

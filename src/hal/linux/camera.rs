@@ -368,6 +368,13 @@ fn get(node: &Device, id: u32) -> io::Result<i64> {
     }
 }
 
+/// Asks a control for the value nearest to `wanted`; the one that it took.
+fn ask(node: &Device, control: &Control, call: &'static str, wanted: f64) -> Result<i64, Error> {
+    let failed = |e| refused(DEVICE, call, e);
+    put(node, control.id, nearest(control, wanted)).map_err(failed)?;
+    get(node, control.id).map_err(failed)
+}
+
 /// The value of a control nearest to `wanted`.
 fn nearest(control: &Control, wanted: f64) -> i64 {
     let steps = ((wanted - control.least as f64) / control.step as f64).round() as i64;
@@ -378,9 +385,7 @@ impl Open {
     /// Without a control an image is exposed for its whole interval, as far as anybody knows.
     fn set_exposure(&mut self, wanted: Duration, unit: Duration) -> Result<Duration, Error> {
         if let Some(control) = &self.exposure {
-            let value = nearest(control, wanted.as_secs_f64() / unit.as_secs_f64());
-            put(&self.node, control.id, value).map_err(|e| refused(DEVICE, "exposure", e))?;
-            let taken = get(&self.node, control.id).map_err(|e| refused(DEVICE, "exposure", e))?;
+            let taken = ask(&self.node, control, "exposure", wanted.as_secs_f64() / unit.as_secs_f64())?;
             self.taken.0 = Duration::from_secs_f64(taken.max(0) as f64 * unit.as_secs_f64());
         }
         Ok(self.taken.0)
@@ -389,9 +394,7 @@ impl Open {
     fn set_gain(&mut self, wanted: f64, one: Option<i64>) -> Result<f64, Error> {
         if let Some(control) = &self.gain {
             let one = one.unwrap_or(control.least.max(1)) as f64;
-            let value = nearest(control, wanted * one);
-            put(&self.node, control.id, value).map_err(|e| refused(DEVICE, "gain", e))?;
-            let taken = get(&self.node, control.id).map_err(|e| refused(DEVICE, "gain", e))?;
+            let taken = ask(&self.node, control, "gain", wanted * one)?;
             self.taken.1 = taken as f64 / one;
         }
         Ok(self.taken.1)
