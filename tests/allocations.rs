@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Set, here};
-use datum::measure::{Measurement, Verdict};
+use datum::measure::{Measurement, Measurer, Shared, Verdict};
 use datum::{Image, VehicleFile};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
@@ -54,13 +54,15 @@ static ALLOCATOR: Counting = Counting;
 fn after_the_first_vehicle_no_buffer_of_the_regions_is_allocated() {
     let set = Set::open(here("station"));
     let features = VehicleFile::read(&set.folder.join("features.toml")).expect("features");
-    let measurer = set.measurer(&set.teach("taught", &features), "allocations");
+    let (taught, shared) = (set.teach("taught", &features), Shared::default());
+    let [measurer, of_another_job] =
+        ["allocations", "allocations-too"].map(|name| set.measurer(&taught, name).sharing(&shared));
     let capture = set.capture("moved");
     let load = |path: &std::path::PathBuf| capture.load(path).expect("there");
     let red = load(capture.images.red.as_ref().expect("there"));
     let fringes: Vec<Vec<Image<u16>>> =
         capture.fringes.iter().map(|set| set.images.iter().map(load).collect()).collect();
-    let measured = || -> Measurement {
+    let measured = |measurer: &Measurer| -> Measurement {
         let mut cycle = measurer.begin(&capture, &red, None);
         for (k, set) in fringes.iter().enumerate() {
             for (step, image) in (0u32..).zip(set) {
@@ -69,16 +71,20 @@ fn after_the_first_vehicle_no_buffer_of_the_regions_is_allocated() {
         }
         cycle.finish(&mut |_| ()).0
     };
-    let first = measured();
+    let first = measured(&measurer);
     let of_first = LARGEST.load(Relaxed);
     assert_eq!(first.verdict, Verdict::Ok, "{}", first.detail);
     for counter in [&CALLS, &BYTES, &LARGEST] {
         counter.store(0, Relaxed);
     }
-    let second = measured();
+    let second = measured(&measurer);
     let [calls, bytes, largest] = [&CALLS, &BYTES, &LARGEST].map(|counter| counter.load(Relaxed));
     assert_eq!(first, second);
     eprintln!("{calls} allocations of {bytes} bytes in all, {largest} at most; {of_first} at most before");
     // what remains: lists of pixels and edges about a feature, small matrices
     assert!(largest <= MOST_AT_ONCE, "{largest} bytes at once");
+    LARGEST.store(0, Relaxed);
+    assert_eq!(first, measured(&of_another_job));
+    let largest = LARGEST.load(Relaxed);
+    assert!(largest <= MOST_AT_ONCE, "another job of the same station: {largest} bytes at once");
 }
