@@ -17,6 +17,7 @@ pub mod document;
 pub mod fringe;
 pub mod geometry;
 pub mod hal;
+pub mod heap;
 pub mod image;
 pub mod measure;
 pub mod optics;

@@ -20,7 +20,7 @@ impl Buckets {
         let high = points.clone().fold(Vector2::repeat(f64::NEG_INFINITY), |a, p| a.sup(&p));
         let extent = (high - low).map(|v| if v > 0.0 { v } else { 0.0 });
         let n = points.clone().count();
-        let cell = cell.max((extent.x * extent.y / (16.0 * n as f64 + 1e4)).sqrt()).max(extent.max() / 1e4);
+        let cell = cell.max((extent.x * extent.y / (16.0 * n as f64 + 4e4)).sqrt()).max(extent.max() / 1e4);
         let (columns, rows) = ((extent.x / cell) as usize + 1, (extent.y / cell) as usize + 1);
         let mut new =
             Self { corner: low, cell, columns, rows, start: vec![0; columns * rows + 1], indices: vec![0; n] };

@@ -299,15 +299,20 @@ fn crossing(
         let (part, slope) = reaches(&four, level);
         Some((place(below) + part * STEP, slope / STEP, level))
     };
-    let upper: Vec<f64> = SLOPE_LEVELS.iter().rev().map(|l| cross(LEVEL + l).map(|c| c.0)).collect::<Option<_>>()?;
+    let [mut upper, mut lower] = [[0.0; SLOPE_LEVELS.len()]; 2];
+    for (upper, apart) in upper.iter_mut().zip(SLOPE_LEVELS).rev() {
+        *upper = cross(LEVEL + apart)?.0;
+    }
     let (at, slope_here, level) = cross(LEVEL)?;
-    let lower: Vec<f64> = SLOPE_LEVELS.iter().map(|l| cross(LEVEL - l).map(|c| c.0)).collect::<Option<_>>()?;
+    for (lower, apart) in lower.iter_mut().zip(SLOPE_LEVELS) {
+        *lower = cross(LEVEL - apart)?.0;
+    }
     if at.abs() > reach * 2.0 / 3.0 {
         return None;
     }
     let apart = |(l, (u, d)): (&f64, (&f64, &f64))| l * (u - d);
     let squares: f64 = SLOPE_LEVELS.iter().map(|l| 2.0 * l * l).sum();
-    let softness = SLOPE_LEVELS.iter().zip(upper.iter().rev().zip(&lower)).map(apart).sum::<f64>() / squares;
+    let softness = SLOPE_LEVELS.iter().zip(upper.iter().zip(&lower)).map(apart).sum::<f64>() / squares;
     Some(Edgel {
         position: e.position + e.normal * at,
         normal: e.normal,

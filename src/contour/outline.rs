@@ -118,6 +118,8 @@ pub enum NoAlignment {
     },
 }
 
+/// A step below which the motion is the last, mm: a hundredth of what the best contour is known to.
+const STILL_MM: f64 = 1e-5;
 /// Least cosine between the normals of a point and of the template point that it may belong to.
 const AGREEING: f64 = 0.8;
 
@@ -133,7 +135,7 @@ pub fn align(
     options: &AlignmentOptions,
 ) -> Result<Alignment, NoAlignment> {
     let (mut motion, mut capture) = (guess, options.capture.0);
-    let places = Buckets::new(template.iter().map(|t| t.position), options.capture.1);
+    let places = Buckets::new(template.iter().map(|t| t.position), 0.25 * options.capture.1);
     let mut system = System::new(template, &places, measured, options.rotate);
     system.build(&motion, capture)?;
     for _ in 0..50 {
@@ -143,7 +145,7 @@ pub fn align(
         let settled = capture <= options.capture.1;
         capture = (0.5 * capture).max(options.capture.1);
         system.build(&motion, capture)?;
-        if settled && step.xy().norm() + (step.z * system.gyration).abs() < 1e-7 {
+        if settled && step.xy().norm() + (step.z * system.gyration).abs() < STILL_MM {
             break;
         }
     }
@@ -197,6 +199,8 @@ struct System<'a> {
     rotate: bool,
     /// The template, turned.
     arms: Vec<TemplatePoint>,
+    /// By measured point: the nearest of the template when last looked, which few others can be nearer than.
+    nearest: Vec<Option<usize>>,
     pairs: Vec<Pair>,
     weights: Weights,
     information: Matrix3<f64>,
@@ -214,6 +218,7 @@ impl<'a> System<'a> {
             measured,
             rotate,
             arms: Vec::with_capacity(template.len()),
+            nearest: vec![None; measured.len()],
             pairs: Vec::with_capacity(measured.len()),
             weights: Weights::default(),
             information: Matrix3::zeros(),
@@ -229,21 +234,23 @@ impl<'a> System<'a> {
         self.arms.clear();
         self.arms.extend(self.template.iter().map(turned));
         let (arms, places, rotate) = (&self.arms, self.places, self.rotate);
-        let pair = |(i, m): (usize, &ContourPoint)| {
+        let pair = |(i, (m, last)): (usize, (&ContourPoint, &mut Option<usize>))| {
             let p = m.position - motion.shift;
-            let near = places.near(rotation.inverse_transform_vector(&p), capture);
-            let near = near.filter(|k| arms[*k].normal.dot(&m.normal) > AGREEING);
+            let agrees = |k: &usize| arms[*k].normal.dot(&m.normal) > AGREEING;
+            let radius = last.filter(agrees).map_or(capture, |k| (p - arms[k].position).norm().min(capture));
+            let near = places.near(rotation.inverse_transform_vector(&p), radius).filter(agrees);
             let near = near.map(|k| ((p - arms[k].position).norm_squared(), k));
             // of equally near ones the first
             let nearest = near.min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            let (_, k) = nearest.filter(|(d2, _)| *d2 <= capture * capture)?;
+            *last = nearest.filter(|(d2, _)| *d2 <= capture * capture).map(|(_, k)| k);
+            let k = (*last)?;
             let TemplatePoint { position: q, normal: n } = arms[k];
             let jacobian = Vector3::new(n.x, n.y, if rotate { q.perp(&n) } else { 0.0 });
             let (distance, sigma) = (n.dot(&(p - q)), m.variance.sqrt());
             Some(Pair { measured: i, distance, sigma, weight: 0.0, jacobian, matched: q })
         };
         self.pairs.clear();
-        self.pairs.extend(self.measured.iter().enumerate().filter_map(pair));
+        self.pairs.extend(self.measured.iter().zip(&mut self.nearest).enumerate().filter_map(pair));
         let wanted = if rotate { 9 } else { 6 };
         if self.pairs.len() < wanted {
             return Err(NoAlignment::TooFewPoints { got: self.pairs.len(), wanted });

@@ -119,6 +119,23 @@ fn height<const ORDER: usize, const TERMS: usize>(c: &[f64], u: f64, v: f64) -> 
     sum
 }
 
+/// The same, with its slopes along u and v: both sums of Horner's scheme are derived as they run.
+fn rise<const ORDER: usize, const TERMS: usize>(c: &[f64], u: f64, v: f64) -> [f64; 3] {
+    let c = &c[..TERMS];
+    let [mut sum, mut du, mut dv] = [0.0; 3];
+    for i in (0..=ORDER).rev() {
+        let [mut along, mut slope] = [0.0; 2];
+        for degree in (i..=ORDER).rev() {
+            slope = slope * u + along;
+            along = along * u + c[degree * (degree + 1) / 2 + i];
+        }
+        dv = dv * v + sum;
+        du = du * v + slope;
+        sum = sum * v + along;
+    }
+    [sum, du, dv]
+}
+
 fn variance<const ORDER: usize, const TERMS: usize>(p: &Polynomial, u: f64, v: f64) -> f64 {
     let m = monomials::<ORDER, TERMS>(u, v);
     m.dot(&(p.covariance.fixed_view::<TERMS, TERMS>(0, 0) * m))
@@ -230,19 +247,14 @@ impl Polynomial {
 
     /// Slopes ∂w/∂u, ∂w/∂v at (u, v).
     pub fn slope(&self, uv: &Vector2<f64>) -> Vector2<f64> {
-        let m = monomials::<MAX_ORDER, MAX_TERMS>(uv.x / self.scale, uv.y / self.scale);
-        let (mut du, mut dv) = (0.0, 0.0);
-        let mut k = 1;
-        for degree in 1..=self.order {
-            let before = k - degree; // first monomial of the degree below
-            for i in 0..degree {
-                // uⁿ⁻ⁱ·vⁱ, then uⁿ⁻ⁱ⁻¹·vⁱ⁺¹ beside it
-                du += self.coefficients[k + i] * (degree - i) as f64 * m[before + i];
-                dv += self.coefficients[k + i + 1] * (i + 1) as f64 * m[before + i];
-            }
-            k += degree + 1;
-        }
-        Vector2::new(du, dv) / self.scale
+        self.rise(uv).1
+    }
+
+    /// Height and slopes at (u, v).
+    fn rise(&self, uv: &Vector2<f64>) -> (f64, Vector2<f64>) {
+        let [w, du, dv] =
+            of_order!(self.order, rise(self.coefficients.as_slice(), uv.x / self.scale, uv.y / self.scale));
+        (w, Vector2::new(du, dv) / self.scale)
     }
 
     /// Variance of the height at (u, v), mm², from the cells' noise.
@@ -350,8 +362,8 @@ impl<F> Surface<F> {
         let mut s = -start.z / d.z; // where it meets the local plane
         for _ in 0..20 {
             let p = start + s * d;
-            let slope = self.polynomial.slope(&p.xy());
-            let gap = p.z - (self.polynomial.height(&p.xy()) - depth_mm * (1.0 + slope.norm_squared()).sqrt());
+            let (height, slope) = self.polynomial.rise(&p.xy());
+            let gap = p.z - (height - depth_mm * (1.0 + slope.norm_squared()).sqrt());
             let step = gap / (d.z - slope.dot(&d.xy()));
             s -= step;
             if (step * d.norm()).abs() < 1e-9 {

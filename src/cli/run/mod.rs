@@ -9,6 +9,7 @@ mod view;
 use super::{Status, sentence};
 use crate::Calibration;
 use crate::hal::linux::MonotonicClock;
+use crate::heap;
 use crate::measure::Shared;
 use crate::plc::{self, Identity, ORDERS, Report, Server, State};
 use crate::records::Fault;
@@ -50,6 +51,7 @@ pub(super) fn not_built(key: &str) -> String {
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
+    heap::steady();
     let config = a.config.as_deref().map_or_else(|| Ok(StationFile::default()), StationFile::read)?;
     if let Some(key) = config.not_built() {
         anyhow::bail!("{}: {}", config.file.display(), not_built(&key));
