@@ -9,7 +9,7 @@ mod common;
 use common::{Set, data};
 use datum::calibrate::{Health, MAX_INDEX, ParameterCovariance};
 use datum::fringe::{
-    Accumulator, Axis, DepthMap, Limits, NoiseLaw, PatternSet, PhaseMap, Rays, decode, epipolar_cells, unwrap,
+    Axis, DepthMap, Limits, NoiseLaw, PatternSet, PhaseMap, Rays, Stack, decode, epipolar_cells, unwrap,
 };
 use datum::image::Window;
 use datum::measure::{Measurement, Verdict};
@@ -135,7 +135,7 @@ fn of_board(calibration: &Calibration, capture: &Capture) -> Health {
         .flat_map(|set| {
             let noise = NoiseLaw::from_sensor(set.gain_dn_per_e.unwrap_or(0.032), 6.0, capture.camera.black_level);
             let pattern = PatternSet::new(set.axis, set.count, set.steps).expect("legal");
-            let mut sums = Accumulator::new(pattern, 255, &[window]).expect("legal");
+            let mut sums = Stack::new(pattern, 255, &[window]).expect("legal");
             for (step, image) in (0u32..).zip(&set.images) {
                 sums.add(step, &capture.load(image).expect("an image")).expect("fits");
             }

@@ -3,8 +3,8 @@
 //! runs where the variable DATUM_DATA names a folder that holds `slstudio/`.
 
 use datum::fringe::{
-    Accumulator, Axis, CoordinateMap, Limits, NoiseLaw, PatternSet, Phase, PhaseMap, Rays, State, decode,
-    difference_samples, epipolar_residual, triangulate, unwrap,
+    Axis, CoordinateMap, Limits, NoiseLaw, PatternSet, Phase, PhaseMap, Rays, Stack, State, decode, difference_samples,
+    epipolar_residual, triangulate, unwrap,
 };
 use datum::geometry::rotation_from_rows;
 use datum::image::Window;
@@ -56,7 +56,7 @@ fn read_capture(folder: &Path) -> Vec<(PatternSet, Vec<Image<u16>>)> {
 
 fn phases(sets: &[(PatternSet, Vec<Image<u16>>)]) -> Vec<PhaseMap> {
     let phase = |(set, images): &(PatternSet, Vec<Image<u16>>)| {
-        let mut sums = Accumulator::new(*set, 255, &[Window::whole(CAMERA.0, CAMERA.1)]).expect("legal");
+        let mut sums = Stack::new(*set, 255, &[Window::whole(CAMERA.0, CAMERA.1)]).expect("legal");
         for (step, image) in images.iter().enumerate() {
             sums.add(step as u32, image).expect("fits");
         }

@@ -1,9 +1,9 @@
-//! The fringe sets of a capture, summed up as their images come. In: fringe images, and what the capture says of them.
+//! The fringe sets of a capture, kept as their images come. In: fringe images, and what the capture says of them.
 //! Out: the noise law of each set, phases, projector coordinates. Not here: depth.
 
 use super::Capture;
 use crate::fringe::{
-    self, Accumulator, Axis, Coordinate, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, Phase, PhaseMap,
+    self, Axis, Coordinate, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, Phase, PhaseMap, Stack,
     difference_samples, residual_samples,
 };
 use crate::image::{Image, Window};
@@ -14,13 +14,13 @@ const NOISE_SAMPLES: usize = 50_000;
 /// Grey levels per electron of an 8-bit image of a sensor with 8000 electrons full well: where nothing is known.
 pub const TYPICAL_GAIN: f64 = 0.032;
 
-/// The fringe sets of one capture while they are summed up.
+/// The fringe sets of one capture while its images come.
 #[derive(Clone, Debug)]
 pub struct Fringes {
     /// Where in the image that is left of every image: all of it, or every `every`-th column and row.
     pub window: Window,
     every: usize,
-    sums: Vec<Accumulator>,
+    stacks: Vec<Stack>,
     /// Noise samples of sets that tell nothing by themselves.
     differences: Vec<NoiseSample>,
     white_level: u16,
@@ -37,20 +37,20 @@ pub struct Fringes {
 }
 
 impl Fringes {
-    /// Empty sums over `window` for all sets of `capture`; nothing is kept of sets along another axis than `only`.
+    /// Empty stacks over `window` for all sets of `capture`; nothing is kept of sets along another axis than `only`.
     pub fn new(capture: &Capture, window: Window, only: Option<Axis>) -> Self {
         let white_level = capture.camera.white_level().clamp(1.0, f64::from(u16::MAX)) as u16;
-        let sums = capture.fringes.iter().map(|set| {
+        let stacks = capture.fringes.iter().map(|set| {
             let windows: &[Window] = if only.is_none_or(|axis| axis == set.axis) { &[window] } else { &[] };
             let set = PatternSet::new(set.axis, set.count, set.steps).expect("checked when the capture was read");
-            Accumulator::new(set, white_level, windows).expect("checked when the capture was read")
+            Stack::new(set, white_level, windows).expect("checked when the capture was read")
         });
         let (black, read) = (capture.camera.black_level, capture.camera.read_noise_e.unwrap_or(0.0));
         let stated = |set: &super::FringeSet| set.gain_dn_per_e.map(|gain| NoiseLaw::from_sensor(gain, read, black));
         Self {
             window,
             every: 1,
-            sums: sums.collect(),
+            stacks: stacks.collect(),
             differences: Vec::new(),
             white_level,
             only,
@@ -68,9 +68,9 @@ impl Fringes {
     pub fn as_they_come(spare: Self, capture: &Capture, window: Window, every: usize, wanted: Vec<bool>) -> Self {
         let mut new = Self::new(capture, Window::whole(0, 0), None);
         (new.window, new.every, new.wanted) = (window, every, wanted);
-        let mut sums = spare.sums.into_iter();
-        for own in &mut new.sums {
-            if let Some(mut reused) = sums.next() {
+        let mut stacks = spare.stacks.into_iter();
+        for own in &mut new.stacks {
+            if let Some(mut reused) = stacks.next() {
                 reused.turn_to(*own.set(), new.white_level).expect("the set of an accumulator");
                 *own = reused;
             }
@@ -87,7 +87,7 @@ impl Fringes {
         Self {
             window: Window::whole(0, 0),
             every: 1,
-            sums: Vec::new(),
+            stacks: Vec::new(),
             differences: Vec::new(),
             white_level: u16::MAX,
             only: None,
@@ -110,22 +110,22 @@ impl Fringes {
     }
 
     fn decode(&mut self, set: usize, noise: &NoiseLaw) -> Result<PhaseMap, fringe::Error> {
-        let sums = &self.sums[set];
+        let stack = &self.stacks[set];
         let pixels = self.spare.pop().unwrap_or_default();
-        let mut map = PhaseMap { set: *sums.set(), window: self.window, pixels };
-        fringe::decode_where(sums, 0, noise, &Limits::DEFAULT, &self.wanted, &mut map)?;
+        let mut map = PhaseMap { set: *stack.set(), window: self.window, pixels };
+        fringe::decode_where(stack, 0, noise, &Limits::DEFAULT, &self.wanted, &mut map)?;
         Ok(map)
     }
 
     /// Takes image `step` of set `set`, in any order.
     pub fn add(&mut self, set: usize, step: u32, image: &Image<u16>) -> Result<(), fringe::Error> {
-        let pattern = *self.sums[set].set();
+        let pattern = *self.stacks[set].set();
         if pattern.steps == 3 && self.differences.is_empty() {
             let window = self.in_image(image);
             self.differences = difference_samples(image, pattern.axis, window, self.white_level, NOISE_SAMPLES);
         }
-        self.sums[set].add(step, image)?;
-        if !self.wanted.is_empty() && self.sums[set].is_complete() {
+        self.stacks[set].add(step, image)?;
+        if !self.wanted.is_empty() && self.stacks[set].is_complete() {
             self.known[set] = self.known[set].or_else(|| self.own(set));
             if let Some(noise) = self.known[set] {
                 self.decoded[set] = Some(self.decode(set, &noise)?);
@@ -142,7 +142,7 @@ impl Fringes {
     }
 
     fn own(&self, k: usize) -> Option<NoiseLaw> {
-        NoiseLaw::estimate(&residual_samples(&self.sums[k], NOISE_SAMPLES), self.black)
+        NoiseLaw::estimate(&residual_samples(&self.stacks[k], NOISE_SAMPLES), self.black)
     }
 
     /// The noise law of each set: stated, or from its own residuals, or from another set's, or from the images.
@@ -150,18 +150,18 @@ impl Fringes {
         let read = capture.camera.read_noise_e.unwrap_or(0.0);
         let known = |k: usize| self.known[k].or_else(|| self.own(k));
         let of_any = || {
-            (0..self.sums.len())
+            (0..self.stacks.len())
                 .find_map(known)
                 .or_else(|| NoiseLaw::estimate(&self.differences, self.black))
                 .unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, read, self.black))
         };
-        (0..self.sums.len()).map(|k| known(k).unwrap_or_else(of_any)).collect()
+        (0..self.stacks.len()).map(|k| known(k).unwrap_or_else(of_any)).collect()
     }
 
     /// The wrapped phases of every set that is kept. `noise`: one law per set of the capture.
     pub fn phases(&self, noise: &[NoiseLaw], limits: &Limits) -> Result<Vec<PhaseMap>, fringe::Error> {
-        let kept = self.sums.iter().zip(noise).filter(|(s, _)| self.only.is_none_or(|axis| axis == s.set().axis));
-        let decoded = kept.map(|(sums, noise)| fringe::decode(sums, noise, limits));
+        let kept = self.stacks.iter().zip(noise).filter(|(s, _)| self.only.is_none_or(|axis| axis == s.set().axis));
+        let decoded = kept.map(|(stack, noise)| fringe::decode(stack, noise, limits));
         Ok(decoded.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 

@@ -1,14 +1,20 @@
-//! Wrapped phase from the sums of one fringe set.
-//! In: complete sums, the camera's noise law. Out: per pixel phase, its variance, level and modulation, or why not.
+//! Wrapped phase from the images of one fringe set.
+//! In: a complete stack, the camera's noise law. Out: per pixel phase, its variance, level and modulation, or why not.
 //! Method: least squares over the steps that were not saturated; Greivenkamp, "Generalized data reduction for
 //! heterodyne interferometry", Optical Engineering 23 (1984) 350. Not here: which fringe it is.
 
-use super::accumulate::Sums;
-use super::{Accumulator, Error, NoiseLaw, PatternSet};
+use super::arctangent::arctangent;
+use super::stack::Planes;
+use super::{Error, NoiseLaw, PatternSet, Stack};
 use crate::image::Window;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use std::sync::OnceLock;
+
+/// Pixels decoded side by side, as vector units like it: what they need fits into the nearest cache.
+const LANES: usize = 128;
+/// Of a set, as the mask of saturated steps holds.
+const MAX_STEPS: usize = 16;
 
 /// What a pixel must show to be believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -83,13 +89,13 @@ pub struct PhaseMap {
     pub pixels: Vec<Phase>,
 }
 
-/// One map per window of `sums`. The variance propagates `noise` at each step's fitted level through the fit; with
+/// One map per window of `stack`. The variance propagates `noise` at each step's fitted level through the fit; with
 /// all of four steps or more it is 2σ_I²/(N·B²) with σ_I² at the mean level. Errors where steps are missing.
-pub fn decode(sums: &Accumulator, noise: &NoiseLaw, limits: &Limits) -> Result<Vec<PhaseMap>, Error> {
-    let empty = |s: &Sums| PhaseMap { set: *sums.set(), window: s.window, pixels: Vec::new() };
-    let mut maps: Vec<PhaseMap> = sums.complete()?.iter().map(empty).collect();
+pub fn decode(stack: &Stack, noise: &NoiseLaw, limits: &Limits) -> Result<Vec<PhaseMap>, Error> {
+    let empty = |p: &Planes| PhaseMap { set: *stack.set(), window: p.window, pixels: Vec::new() };
+    let mut maps: Vec<PhaseMap> = stack.complete()?.iter().map(empty).collect();
     for (k, map) in maps.iter_mut().enumerate() {
-        decode_where(sums, k, noise, limits, &[], map)?;
+        decode_where(stack, k, noise, limits, &[], map)?;
     }
     Ok(maps)
 }
@@ -97,25 +103,28 @@ pub fn decode(sums: &Accumulator, noise: &NoiseLaw, limits: &Limits) -> Result<V
 /// As [`decode`], of window `k` alone into `map`, whose buffer is kept, and only where `wanted`, row by row: all else is
 /// left weak. An empty `wanted` wants everything. Panics if there is no such window or `wanted` is of another size.
 pub fn decode_where(
-    sums: &Accumulator,
+    stack: &Stack,
     k: usize,
     noise: &NoiseLaw,
     limits: &Limits,
     wanted: &[bool],
     map: &mut PhaseMap,
 ) -> Result<(), Error> {
-    let fits = Fits::new(*sums.set());
-    let of = &sums.complete()?[k];
-    assert!(wanted.is_empty() || wanted.len() == of.sums.len(), "what is wanted is of another window");
-    (map.set, map.window) = (*sums.set(), of.window);
+    let (set, planes) = (*stack.set(), &stack.complete()?[k]);
     let all = wanted.is_empty();
-    let pixels = of.sums.par_iter().zip(&of.saturated).enumerate().with_min_len(1024);
-    let pixels = pixels.map(
-        |(i, (sums, &saturated))| {
-            if all || wanted[i] { fits.phase(sums, saturated, noise, limits) } else { Phase::NONE }
-        },
-    );
-    pixels.collect_into_vec(&mut map.pixels);
+    assert!(all || wanted.len() == planes.len(), "what is wanted is of another window");
+    (map.set, map.window) = (set, planes.window);
+    map.pixels.resize(planes.len(), Phase::NONE);
+    let fits = Fits::new(set, stack.white_level());
+    map.pixels.par_chunks_mut(LANES).with_min_len(4).enumerate().for_each(|(block, phases)| {
+        let range = block * LANES..block * LANES + phases.len();
+        let wanted = if all { wanted } else { &wanted[range.clone()] };
+        if !all && !wanted.contains(&true) {
+            return phases.fill(Phase::NONE);
+        }
+        fits.phases(planes.part(&set, range), noise, limits, phases);
+        phases.iter_mut().zip(wanted).filter(|(_, wanted)| !**wanted).for_each(|(phase, _)| *phase = Phase::NONE);
+    });
     Ok(())
 }
 
@@ -134,6 +143,7 @@ impl Phase {
 /// The least-squares fits of one set, one per mask of saturated steps, made when first met.
 pub(super) struct Fits {
     set: PatternSet,
+    white_level: u16,
     by_mask: Vec<OnceLock<Option<Box<Fit>>>>,
 }
 
@@ -152,8 +162,8 @@ struct Sine {
 }
 
 impl Fits {
-    pub(super) fn new(set: PatternSet) -> Self {
-        Self { set, by_mask: (0..1 << set.steps).map(|_| OnceLock::new()).collect() }
+    pub(super) fn new(set: PatternSet, white_level: u16) -> Self {
+        Self { set, white_level, by_mask: (0..1 << set.steps).map(|_| OnceLock::new()).collect() }
     }
 
     fn fit(&self, saturated: u16) -> Option<&Fit> {
@@ -173,18 +183,120 @@ impl Fits {
         self.by_mask[usize::from(saturated)].get_or_init(make).as_deref()
     }
 
-    /// Level and residual variance (DN², mean over the degrees of freedom) of an unsaturated pixel; `None` where
-    /// there is no freedom.
-    pub(super) fn residual(&self, sums: &[f32; 4], saturated: u16) -> Option<(f64, f64)> {
+    /// Level and residual variance (DN², mean over the degrees of freedom) of an unsaturated pixel, whose samples of each
+    /// step are given; `None` where there is no freedom.
+    pub(super) fn residual(&self, samples: impl Iterator<Item = u16>) -> Option<(f64, f64)> {
+        let (sums, saturated) = self.sums(samples);
         let freedom = self.set.steps.checked_sub(3).filter(|&f| f > 0 && saturated == 0)?;
-        let sine = self.fit(0)?.solve(sums);
+        let sine = self.fit(0)?.solve(&sums);
         Some((sine.x[0], sine.residual / f64::from(freedom)))
     }
 
-    fn phase(&self, sums: &[f32; 4], saturated: u16, noise: &NoiseLaw, limits: &Limits) -> Phase {
+    /// ΣI, ΣI·cos θ, ΣI·sin θ, ΣI² of the steps that are not saturated, θ the step's shift; and by bit which are.
+    fn sums(&self, samples: impl Iterator<Item = u16>) -> ([f64; 4], u16) {
+        let (mut sums, mut saturated) = ([0.0; 4], 0);
+        for (step, sample) in (0..).zip(samples) {
+            if sample >= self.white_level {
+                saturated |= 1 << step;
+                continue;
+            }
+            let (sin, cos) = self.set.shift(step).sin_cos();
+            let i = f64::from(sample);
+            sums.iter_mut().zip([1.0, cos, sin, i]).for_each(|(sum, weight)| *sum += i * weight);
+        }
+        (sums, saturated)
+    }
+
+    /// The phases of pixels side by side, at most [`LANES`], whose samples are given step by step. Those with all their
+    /// steps by a fit that is the same of all of them: the least squares of equal steps are their Fourier sums. Single
+    /// precision holds: samples are whole, and residuals are taken from the samples, not from squares.
+    fn phases<'s>(
+        &self,
+        samples: impl Iterator<Item = &'s [u16]> + Clone,
+        noise: &NoiseLaw,
+        limits: &Limits,
+        out: &mut [Phase],
+    ) {
+        let mut over = [false; LANES];
+        let mut steps = [[0f32; LANES]; MAX_STEPS];
+        let [mut level, mut x, mut y] = [[0f32; LANES]; 3];
+        let n = self.set.steps as usize;
+        let angles: [(f32, f32); MAX_STEPS] = std::array::from_fn(|step| {
+            let (sin, cos) = self.set.shift(step as u32).sin_cos();
+            (sin as f32, cos as f32)
+        });
+        for ((from, to), (sin, cos)) in samples.clone().zip(&mut steps).zip(angles) {
+            for ((from, to), over) in from.iter().zip(to.iter_mut()).zip(&mut over) {
+                *over |= *from >= self.white_level;
+                *to = f32::from(*from);
+            }
+            for i in 0..LANES {
+                level[i] += to[i];
+                x[i] += to[i] * cos;
+                y[i] -= to[i] * sin;
+            }
+        }
+        let share = 1.0 / n as f32;
+        for i in 0..LANES {
+            level[i] *= share;
+            x[i] *= 2.0 * share;
+            y[i] *= 2.0 * share;
+        }
+        let [mut residual, mut spread] = [[0f32; LANES]; 2];
+        let (gain, variance0, black) = (noise.gain as f32, noise.variance0 as f32, noise.black as f32);
+        let variance = |level: f32| gain * (level - black).max(0.0) + variance0;
+        for (samples, (sin, cos)) in steps[..n].iter().zip(angles) {
+            for i in 0..LANES {
+                let fitted = level[i] + x[i] * cos - y[i] * sin;
+                let (off, slope) = (samples[i] - fitted, y[i] * cos + x[i] * sin);
+                residual[i] += off * off;
+                spread[i] += slope * slope * variance(fitted);
+            }
+        }
+        let [mut modulation, mut phase, mut one_sample] = [[0f32; LANES]; 3];
+        for i in 0..LANES {
+            let square = x[i] * x[i] + y[i] * y[i];
+            modulation[i] = square.sqrt();
+            phase[i] = arctangent(y[i], x[i]);
+            one_sample[i] = variance(level[i]);
+            let per_slope = 2.0 * share / square;
+            spread[i] *= per_slope * per_slope;
+        }
+        let least = (limits.modulation_dn as f32, limits.modulation_sigmas as f32);
+        let freedom = n as f64 - 3.0;
+        let (harmonics, implausible) = (limits.harmonics as f32, implausible_chi2(freedom) as f32);
+        for (i, out) in out.iter_mut().enumerate() {
+            if over[i] {
+                *out = self.phase(samples.clone().map(|step| step[i]), noise, limits);
+                continue;
+            }
+            let (square, noise) = (modulation[i] * modulation[i], one_sample[i]);
+            let weak =
+                modulation[i] < least.0 || square < least.1 * least.1 * noise || spread[i] * least.1 * least.1 > 1.0;
+            let no_sine = freedom > 0.0 && residual[i] > (noise + harmonics * harmonics * square) * implausible;
+            let state = match (weak, no_sine) {
+                (true, _) => State::Weak,
+                (false, true) => State::NotSine,
+                (false, false) => State::Valid,
+            };
+            let valid = state == State::Valid;
+            *out = Phase {
+                phase: if valid { phase[i] } else { f32::NAN },
+                variance: if valid { spread[i] } else { f32::NAN },
+                level: level[i],
+                modulation: modulation[i],
+                saturated: false,
+                state,
+            };
+        }
+    }
+
+    /// The phase of a pixel by the fit of the steps that are not saturated; whose samples are given step by step.
+    fn phase(&self, samples: impl Iterator<Item = u16>, noise: &NoiseLaw, limits: &Limits) -> Phase {
+        let (sums, saturated) = self.sums(samples);
         let nothing = Phase { saturated: saturated != 0, state: State::Saturated, ..Phase::NONE };
         let Some(fit) = self.fit(saturated) else { return nothing };
-        let Sine { x, residual } = fit.solve(sums);
+        let Sine { x, residual } = fit.solve(&sums);
         let (level, modulation) = (x[0], (x[1] * x[1] + x[2] * x[2]).sqrt()); // nothing here overflows: no `hypot`
         let seen = Phase { level: level as f32, modulation: modulation as f32, ..nothing };
 
@@ -209,10 +321,10 @@ impl Fits {
 }
 
 impl Fit {
-    fn solve(&self, &[i, cos, sin, square]: &[f32; 4]) -> Sine {
-        let rhs = Vector3::new(f64::from(i), f64::from(cos), -f64::from(sin));
+    fn solve(&self, &[i, cos, sin, square]: &[f64; 4]) -> Sine {
+        let rhs = Vector3::new(i, cos, -sin);
         let x = self.inverse * rhs;
-        Sine { x, residual: (f64::from(square) - x.dot(&rhs)).max(0.0) }
+        Sine { x, residual: (square - x.dot(&rhs)).max(0.0) }
     }
 }
 
@@ -223,7 +335,7 @@ fn implausible_chi2(freedom: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::testing::{Random, planted};
+    use super::super::testing::{Random, planted, samples};
     use super::*;
     use crate::fringe::Axis;
     use std::f64::consts::{PI, TAU};
@@ -234,7 +346,7 @@ mod tests {
         PatternSet::new(Axis::Column, 1, steps).expect("legal")
     }
 
-    fn one(sums: &Accumulator) -> PhaseMap {
+    fn one(sums: &Stack) -> PhaseMap {
         decode(sums, &NOISE, &Limits::default()).expect("complete").remove(0)
     }
 
@@ -249,6 +361,35 @@ mod tests {
         let mean = e.iter().sum::<f64>() / e.len() as f64;
         let std = (e.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / e.len() as f64).sqrt();
         (e.len(), mean, std)
+    }
+
+    #[test]
+    fn pixels_side_by_side_are_decoded_as_each_alone() {
+        for steps in [3, 4, 5, 8, 16] {
+            for white in [256, 170] {
+                // 170: some lose a step; dark and weak ones at the end
+                let light = |i: usize| (80.0 - 0.1 * i as f64, (60.0 - 0.1 * i as f64).max(0.0), 0.37 * i as f64);
+                let n = 5 * LANES + 17;
+                let mut random = Random(23);
+                let images = samples(set(steps), n, light, |light| random.sample(light, &NOISE));
+                let mut stack = Stack::new(set(steps), white, &[Window::whole(n, 1)]).expect("legal");
+                (0..).zip(&images).for_each(|(step, image)| stack.add(step, image).expect("fits"));
+                let (map, fits) = (one(&stack), Fits::new(set(steps), white));
+                let mut states = std::collections::HashMap::new();
+                for (i, got) in map.pixels.iter().enumerate() {
+                    let alone = fits.phase(images.iter().map(|image| image.pixels[i]), &NOISE, &Limits::default());
+                    assert_eq!((got.state, got.saturated), (alone.state, alone.saturated), "{steps} steps, {i}");
+                    *states.entry(format!("{:?}", got.state)).or_insert(0) += 1;
+                    let near = |a: f32, b: f32, within: f32| (a.is_nan() && b.is_nan()) || (a - b).abs() <= within;
+                    let turns = ((got.phase - alone.phase) / std::f32::consts::TAU).round();
+                    let phase = if turns.is_nan() { got.phase } else { got.phase - turns * std::f32::consts::TAU };
+                    assert!(near(phase, alone.phase, 2e-6), "{got:?} {alone:?}");
+                    assert!(near(got.variance, alone.variance, 1e-4 * alone.variance), "{got:?} {alone:?}");
+                    assert!(near(got.level, alone.level, 1e-4) && near(got.modulation, alone.modulation, 1e-4));
+                }
+                assert!(states["Valid"] > 300 && states["Weak"] > 50, "{states:?}");
+            }
+        }
     }
 
     #[test]
@@ -319,7 +460,7 @@ mod tests {
             let map = &decode(&clean, &quiet, &Limits::default()).expect("complete")[0];
             assert!(map.pixels.iter().all(|p| p.state == State::Valid), "clean, {steps} steps");
 
-            let mut gamma = Accumulator::new(set(steps), 255, &[Window::whole(500, 1)]).expect("legal");
+            let mut gamma = Stack::new(set(steps), 255, &[Window::whole(500, 1)]).expect("legal");
             let mut moved = gamma.clone();
             for step in 0..steps {
                 let light = |i| 0.5 + 0.5 * (phase(i) + set(steps).shift(step)).cos();

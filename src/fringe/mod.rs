@@ -3,22 +3,23 @@
 //! Out: per camera pixel the projector coordinate that lights it, the depth of the surface, and their variances.
 //! Left to others: files, which windows matter, what the surface is. Where a pixel cannot be trusted it is NaN.
 //!
-//! images → [`Accumulator`] → [`decode`] → [`unwrap`] (with [`CoordinateMap::predict`]) → [`DepthMap`]; with fringes
+//! images → [`Stack`] → [`decode`] → [`unwrap`] (with [`CoordinateMap::predict`]) → [`DepthMap`]; with fringes
 //! across the measuring axis → [`epipolar_cells`].
 
-mod accumulate;
+mod arctangent;
 mod decode;
 mod epipolar;
 mod noise;
 mod pattern;
+mod stack;
 mod triangulate;
 mod unwrap;
 
-pub use accumulate::Accumulator;
 pub use decode::{Limits, Phase, PhaseMap, State, decode, decode_where};
 pub use epipolar::{EpipolarCell, epipolar_cells, is_sampled};
 pub use noise::{NoiseLaw, NoiseSample, difference_samples, residual_samples};
 pub use pattern::{Axis, PatternSet};
+pub use stack::Stack;
 pub use triangulate::{Depth, DepthMap, Rays, epipolar_residual, projector_coordinate, triangulate};
 pub use unwrap::{Coordinate, CoordinateMap, unwrap, unwrap_reusing};
 
@@ -78,7 +79,7 @@ pub enum Error {
 mod testing {
     //! Planted signals: a seeded generator, a camera that counts electrons.
 
-    use super::{Accumulator, NoiseLaw, PatternSet};
+    use super::{NoiseLaw, PatternSet, Stack};
     use crate::Image;
     use crate::image::Window;
 
@@ -105,28 +106,38 @@ mod testing {
         }
     }
 
-    /// Sums over images of `level + modulation·cos(phase(i) + shift)` at pixel i of a row of `n`, 8-bit, with
-    /// noise of `noise` if there is a generator.
+    /// The images of `level + modulation·cos(phase(i) + shift)` at pixel i of a row of `n`, as `sample` takes that light.
+    pub(super) fn samples(
+        set: PatternSet,
+        n: usize,
+        light: impl Fn(usize) -> (f64, f64, f64),
+        mut sample: impl FnMut(f64) -> u16,
+    ) -> Vec<Image<u16>> {
+        let image = |step| {
+            let light = |i| {
+                let (level, modulation, phase) = light(i);
+                level + modulation * (phase + set.shift(step)).cos()
+            };
+            Image { width: n, height: 1, pixels: (0..n).map(|i| sample(light(i))).collect() }
+        };
+        (0..set.steps).map(image).collect()
+    }
+
+    /// A stack of such images, 8-bit, with noise of `noise` if there is a generator.
     pub(super) fn planted(
         set: PatternSet,
         n: usize,
         light: impl Fn(usize) -> (f64, f64, f64),
         noise: &NoiseLaw,
         mut random: Option<&mut Random>,
-    ) -> Accumulator {
-        let mut sums = Accumulator::new(set, 255, &[Window::whole(n, 1)]).expect("legal set");
-        for step in 0..set.steps {
-            let sample = |i| {
-                let (level, modulation, phase) = light(i);
-                let light = level + modulation * (phase + set.shift(step)).cos();
-                match &mut random {
-                    Some(random) => random.sample(light, noise),
-                    None => light.round().clamp(0.0, 255.0) as u16,
-                }
-            };
-            let pixels = (0..n).map(sample).collect();
-            sums.add(step, &Image { width: n, height: 1, pixels }).expect("fits");
-        }
-        sums
+    ) -> Stack {
+        let sample = |light: f64| match &mut random {
+            Some(random) => random.sample(light, noise),
+            None => light.round().clamp(0.0, 255.0) as u16,
+        };
+        let mut stack = Stack::new(set, 255, &[Window::whole(n, 1)]).expect("legal set");
+        let images = samples(set, n, light, sample);
+        (0..).zip(&images).for_each(|(step, image)| stack.add(step, image).expect("fits"));
+        stack
     }
 }

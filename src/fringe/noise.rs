@@ -3,7 +3,8 @@
 //! European Machine Vision Association, Standard 1288, release 4.0 (2021), §2.
 
 use super::decode::Fits;
-use super::{Accumulator, Axis};
+use super::stack::Planes;
+use super::{Axis, Stack};
 use crate::Image;
 use crate::image::Window;
 
@@ -93,14 +94,13 @@ fn clipped_mean(band: &[NoiseSample]) -> f64 {
 
 /// Samples from the sine-fit residuals of a set of four steps or more, at most about `limit`; none from a set of
 /// three, which fits anything, or one whose images are not all there. Harmonics of the projector count as noise.
-pub fn residual_samples(sums: &Accumulator, limit: usize) -> Vec<NoiseSample> {
-    let fits = Fits::new(*sums.set());
-    let windows = sums.complete().unwrap_or_default();
-    let stride = (windows.iter().map(|s| s.sums.len()).sum::<usize>() / limit.max(1)).max(1);
-    let pixels = windows.iter().flat_map(|s| s.sums.iter().zip(&s.saturated));
-    let residual = |(sums, &saturated): (&[f32; 4], &u16)| fits.residual(sums, saturated);
+pub fn residual_samples(stack: &Stack, limit: usize) -> Vec<NoiseSample> {
+    let (set, windows) = (stack.set(), stack.complete().unwrap_or_default());
+    let fits = Fits::new(*set, stack.white_level());
+    let stride = (windows.iter().map(Planes::len).sum::<usize>() / limit.max(1)).max(1);
+    let pixels = windows.iter().flat_map(|planes| (0..planes.len()).map(move |i| planes.part(set, i..i + 1)));
     let sample = |(level, variance)| NoiseSample { level, variance };
-    pixels.step_by(stride).filter_map(residual).map(sample).collect()
+    pixels.step_by(stride).filter_map(|pixel| fits.residual(pixel.map(|step| step[0]))).map(sample).collect()
 }
 
 /// Samples from second differences of one fringe image along the fringes, at most about `limit`: what a set of three
