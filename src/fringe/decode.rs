@@ -226,10 +226,8 @@ impl Fits {
             (sin as f32, cos as f32)
         });
         for ((from, to), (sin, cos)) in samples.clone().zip(&mut steps).zip(angles) {
-            for ((from, to), over) in from.iter().zip(to.iter_mut()).zip(&mut over) {
-                *over |= *from >= self.white_level;
-                *to = f32::from(*from);
-            }
+            from.iter().zip(to.iter_mut()).for_each(|(from, to)| *to = f32::from(*from));
+            from.iter().zip(&mut over).for_each(|(from, over)| *over |= *from >= self.white_level);
             for i in 0..LANES {
                 level[i] += to[i];
                 x[i] += to[i] * cos;
@@ -262,32 +260,35 @@ impl Fits {
             let per_slope = 2.0 * share / square;
             spread[i] *= per_slope * per_slope;
         }
-        let least = (limits.modulation_dn as f32, limits.modulation_sigmas as f32);
+        let (least, sigmas) = (limits.modulation_dn as f32, limits.modulation_sigmas as f32);
         let freedom = n as f64 - 3.0;
         let (harmonics, implausible) = (limits.harmonics as f32, implausible_chi2(freedom) as f32);
-        for (i, out) in out.iter_mut().enumerate() {
-            if over[i] {
-                *out = self.phase(samples.clone().map(|step| step[i]), noise, limits);
-                continue;
-            }
+        let implausible = if freedom > 0.0 { implausible } else { f32::INFINITY };
+        let mut state = [0u32; LANES]; // of `STATES`
+        for i in 0..LANES {
             let (square, noise) = (modulation[i] * modulation[i], one_sample[i]);
-            let weak =
-                modulation[i] < least.0 || square < least.1 * least.1 * noise || spread[i] * least.1 * least.1 > 1.0;
-            let no_sine = freedom > 0.0 && residual[i] > (noise + harmonics * harmonics * square) * implausible;
-            let state = match (weak, no_sine) {
-                (true, _) => State::Weak,
-                (false, true) => State::NotSine,
-                (false, false) => State::Valid,
-            };
-            let valid = state == State::Valid;
+            let least = least * least;
+            let weak = (square < least) | (square < sigmas * sigmas * noise) | (spread[i] * sigmas * sigmas > 1.0);
+            let no_sine = residual[i] > (noise + harmonics * harmonics * square) * implausible;
+            state[i] = if weak { 2 } else { u32::from(no_sine) };
+            phase[i] = if weak | no_sine { f32::NAN } else { phase[i] };
+            spread[i] = if weak | no_sine { f32::NAN } else { spread[i] };
+        }
+        const STATES: [State; 4] = [State::Valid, State::NotSine, State::Weak, State::Weak];
+        for (i, out) in out.iter_mut().enumerate() {
             *out = Phase {
-                phase: if valid { phase[i] } else { f32::NAN },
-                variance: if valid { spread[i] } else { f32::NAN },
+                phase: phase[i],
+                variance: spread[i],
                 level: level[i],
                 modulation: modulation[i],
                 saturated: false,
-                state,
+                state: STATES[state[i] as usize & 3],
             };
+        }
+        if over.contains(&true) {
+            for (i, out) in out.iter_mut().enumerate().filter(|(i, _)| over[*i]) {
+                *out = self.phase(samples.clone().map(|step| step[i]), noise, limits);
+            }
         }
     }
 

@@ -108,7 +108,7 @@ fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, limits: &L
         let (wrapped, own) = (f64::from(p.phase), f64::from(p.variance));
         let finer = f64::from(level[0].set.count);
         if count == 0.0 {
-            phase = wrapped.rem_euclid(TAU);
+            phase = within_turns(wrapped, TAU);
         } else {
             let ratio = finer / count;
             let Some(ordered) = in_order(wrapped, phase * ratio, variance * ratio * ratio + own, limits.order_residual)
@@ -116,7 +116,7 @@ fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, limits: &L
                 out.state = State::WrongOrder;
                 return out;
             };
-            phase = ordered.rem_euclid(TAU * finer); // past the last fringe the cosine starts again
+            phase = within_turns(ordered, TAU * finer); // past the last fringe the cosine starts again
         }
         (variance, count) = (own, finer);
     }
@@ -161,8 +161,23 @@ fn best(sets: &[&PhaseMap], i: usize, limits: &Limits) -> Phase {
 /// `variance` (rad², of their difference) lets them.
 fn in_order(wrapped: f64, expected: f64, variance: f64, most: f64) -> Option<f64> {
     let turns = (expected - wrapped) / TAU;
+    let whole = (turns + ROUNDS) - ROUNDS; // a call of `round` per pixel is what some processors have instead
     let sure = ORDER_SIGMAS * variance.sqrt() < (1.0 - most) * TAU;
-    (sure && (turns - turns.round()).abs() < most).then(|| wrapped + TAU * turns.round())
+    (sure && (turns - whole).abs() < most).then_some(wrapped + TAU * whole)
+}
+
+/// A number so large that whole ones are all that lies beside it: added and taken off again it rounds.
+const ROUNDS: f64 = 6_755_399_441_055_744.0; // 1.5 · 2⁵²
+
+/// `phase`, at most one `period` off, brought to 0..period.
+fn within_turns(phase: f64, period: f64) -> f64 {
+    if phase < 0.0 {
+        phase + period
+    } else if phase >= period {
+        phase - period
+    } else {
+        phase
+    }
 }
 
 impl Coordinate {
@@ -220,6 +235,17 @@ mod tests {
 
     fn spoil(phase: &mut Phase, state: State) {
         *phase = Phase { phase: f32::NAN, variance: f32::NAN, saturated: state == State::Saturated, state, ..*phase };
+    }
+
+    #[test]
+    fn a_phase_is_brought_to_the_nearest_of_its_turns() {
+        for k in -4000..4000 {
+            let (wrapped, expected) = (0.001 * f64::from(k % 3141), 0.0937 * f64::from(k));
+            let got = in_order(wrapped, expected, 1e-6, 0.5).expect("any");
+            assert_eq!(got, wrapped + TAU * ((expected - wrapped) / TAU).round(), "{wrapped} {expected}");
+            let (phase, period) = (0.003 * f64::from(k), 12.5);
+            assert!((within_turns(phase, period) - phase.rem_euclid(period)).abs() < 1e-12, "{phase}");
+        }
     }
 
     #[test]

@@ -1,27 +1,25 @@
-//! Times of a measurement at full resolution, on a capture that is simulated here: what must be done while the projector
-//! plays (`begin` with the red image, `add_fringe` with each of the others) and what is left after the last image
-//! (`finish`). Beside them a floor that memory sets: every sample of all images read once.
-//! `cargo bench --bench measure`; on two cores `taskset -c 0,1 cargo bench --bench measure`.
+//! A vehicle taught and another captured at full resolution, on the simulated station.
 
-use criterion::{BatchSize, Criterion};
 use datum::capture::{Devices, Plan, record};
+use datum::detect::{DEFAULT, Detector};
 use datum::measure::{Measurer, teach};
 use datum::sim::{self, Body, Deviation, Paint, Scene, Script, Setup, Station};
 use datum::{Capture, Image};
-use std::hint::black_box;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// A vehicle taught where it should stand, and a capture of one that stands otherwise.
-struct Bench {
-    measurer: Measurer,
-    capture: Capture,
-    red: Image<u16>,
-    fringes: Vec<Vec<Image<u16>>>,
+pub(crate) struct Bench {
+    pub(crate) measurer: Measurer,
+    /// The same, with the detector.
+    pub(crate) detecting: Measurer,
+    pub(crate) capture: Capture,
+    pub(crate) red: Image<u16>,
+    pub(crate) fringes: Vec<Vec<Image<u16>>>,
 }
 
 impl Bench {
-    fn new() -> Self {
+    pub(crate) fn new() -> Self {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("bench-measure");
         let setup = Arc::new(Setup::new(1.0, 8));
         let (body, paint) = (Body::named("suv-a").expect("listed"), Paint::named("white").expect("listed"));
@@ -41,51 +39,19 @@ impl Bench {
             std::fs::write(file, template.to_bytes()).expect("writable");
         }
         taught.model.file = folder.join("bench.toml");
-        let measurer = Measurer::new(sim::calibration(&setup), taught.model).expect("templates");
+        let measurer = || Measurer::new(sim::calibration(&setup), taught.model.clone()).expect("templates");
+        let detector = Detector::named(Path::new(DEFAULT)).expect("comes with the program");
+        let detecting = measurer().with_detector(detector);
         let stands = Deviation { along_mm: -40.0, across_mm: 30.0, yaw_deg: 3.0, ..Deviation::default() };
         let capture = capture(stands, "moved");
         let load = |path: &PathBuf| capture.load(path).expect("just written");
         let red = load(capture.images.red.as_ref().expect("recorded"));
         let fringes = capture.fringes.iter().map(|set| set.images.iter().map(load).collect()).collect();
-        Self { measurer, red, fringes, capture }
+        Self { measurer: measurer(), detecting, red, fringes, capture }
     }
 
     /// Every fringe image of the capture: its set, its step.
-    fn images(&self) -> impl Iterator<Item = (usize, u32, &Image<u16>)> {
+    pub(crate) fn images(&self) -> impl Iterator<Item = (usize, u32, &Image<u16>)> {
         self.fringes.iter().enumerate().flat_map(|(k, set)| (0u32..).zip(set).map(move |(step, i)| (k, step, i)))
     }
-}
-
-fn measure(c: &mut Criterion) {
-    let b = Bench::new();
-    let begun = || b.measurer.begin(&b.capture, &b.red, None);
-    let filled = || {
-        let mut cycle = begun();
-        b.images().for_each(|(k, step, image)| cycle.add_fringe(k, step, image).expect("of the capture"));
-        cycle
-    };
-    let (result, _) = filled().finish(&mut |_| ());
-    assert_eq!(result.code, None, "{}", result.detail);
-    let mut group = c.benchmark_group("measure_2592x1944");
-    group.bench_function("floor_all_images_read_once", |bench| {
-        let sum = |image: &Image<u16>| image.pixels.iter().map(|v| u64::from(*v)).sum::<u64>();
-        bench.iter(|| sum(black_box(&b.red)) + b.images().map(|(.., image)| sum(black_box(image))).sum::<u64>());
-    });
-    group.bench_function("begin", |bench| bench.iter(begun));
-    group.bench_function("all_16_add_fringe", |bench| {
-        let add = |cycle: &mut datum::measure::Cycle<'_>| {
-            b.images().for_each(|(k, step, image)| cycle.add_fringe(k, step, image).expect("of the capture"));
-        };
-        bench.iter_batched_ref(begun, add, BatchSize::PerIteration);
-    });
-    group.bench_function("finish", |bench| {
-        bench.iter_batched(filled, |cycle| cycle.finish(&mut |_| ()), BatchSize::PerIteration);
-    });
-    group.finish();
-}
-
-fn main() {
-    let mut criterion = Criterion::default().configure_from_args().sample_size(20);
-    measure(&mut criterion);
-    criterion.final_summary();
 }
