@@ -21,6 +21,7 @@ mod locate;
 mod moved;
 mod panel;
 mod patches;
+mod published;
 mod regions;
 mod report;
 mod result;
