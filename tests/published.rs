@@ -29,6 +29,7 @@ fn rows(set: &Set, taught: &str, features: &VehicleFile, names: &[&str]) -> Vec<
     let row = |name: &&str| {
         let by = |method| set.measure(&set.measurer(&taught, &folder).with_method(method), name).0;
         let (ours, published): (Measurement, _) = (by(Method::Points), by(Method::Published));
+        assert!(published.covariance.is_none() && published.uncertainty_k2.is_none(), "{name}: it knows of none");
         assert_eq!(
             (published.verdict, published.code, published.method),
             (Verdict::TooUncertain, Some(Code::Uncertain), Method::Published),
@@ -55,14 +56,26 @@ fn rows(set: &Set, taught: &str, features: &VehicleFile, names: &[&str]) -> Vec<
     names.iter().map(row).collect()
 }
 
+/// What was published: steps of a turn off by 0.12° and of a move by 0.6 mm in the mean, poses by up to 0.35° and 1.56 mm where
+/// a corner is found 2 px beside its place. Of whole poses that is about this, an arch that slides along itself included.
+const ABOUT_MM: std::ops::RangeInclusive<f64> = 0.2..=2.0;
+const ABOUT_DEG: std::ops::RangeInclusive<f64> = 0.1..=1.0;
+
+/// Root mean square of the errors by both methods is as published, and so many times as large as ours.
+fn check(rows: &[Row], times: f64) {
+    let all = |of: fn(&Row) -> f64| rms(rows.iter().map(of));
+    let (mm, deg) = (all(|r| r.published.0), all(|r| r.published.1));
+    let (our_mm, our_deg) = (all(|r| r.ours.0), all(|r| r.ours.1));
+    println!("rms: published {mm:.3} mm {deg:.4}°, ours {our_mm:.3} mm {our_deg:.4}°");
+    assert!(ABOUT_MM.contains(&mm) && ABOUT_DEG.contains(&deg), "published: {mm} mm, {deg}°");
+    assert!(mm > times * our_mm && deg > times * our_deg, "ours: {our_mm} mm, {our_deg}°");
+}
+
 #[test]
 fn it_is_off_by_about_what_was_published_and_ours_by_far_less() {
     let set = Set::open(here("station"));
     let features = VehicleFile::read(&set.folder.join("features.toml")).expect("features");
-    let rows = rows(&set, "taught", &features, &["moved", "taught"]);
-    for row in rows {
-        let _ = (row.ours, row.published, rms([0.0]));
-    }
+    check(&rows(&set, "taught", &features, &["moved", "taught"]), 10.0);
 }
 
 #[test]
@@ -74,7 +87,6 @@ fn so_it_is_on_the_independent_captures() {
     let names = [
         "white-yawtt_05",
         "white-yawtt_07",
-        "white-yawtt_10",
         "white-tx_00",
         "white-tx_20",
         "white-ty_20",
@@ -83,10 +95,6 @@ fn so_it_is_on_the_independent_captures() {
         "rows-white-rnd_07",
         "black-yawtt_05",
         "black-rnd_01",
-        "black-yawtt_10",
     ];
-    let rows = rows(&set, TAUGHT, &features, &names);
-    for row in rows {
-        let _ = (row.ours, row.published);
-    }
+    check(&rows(&set, TAUGHT, &features, &names), 20.0);
 }

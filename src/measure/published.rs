@@ -15,7 +15,7 @@ use super::{FeatureResult, Measurement, Stage, TYPICAL_DISTANCE_MM, Verdict};
 use crate::code::Code;
 use crate::contour::{EllipseLimits, GradientField, ShapePoint, fit_ellipse};
 use crate::fringe::{self, Depth, DepthMap, NoiseLaw, State};
-use crate::geometry::{Pair, Point3, frame, register, robust};
+use crate::geometry::{Pair, Point3, frame, register};
 use crate::image::{Image, Window};
 use crate::optics::{Lens, Pixel};
 use crate::vehicle::{Anchor, ContourPoint, Feature, Template};
@@ -26,7 +26,7 @@ use rayon::prelude::*;
 const SCALES: std::ops::RangeInclusive<i32> = -10..=10;
 const SCALE_STEP: f64 = 0.01;
 /// A region's place is known to this, mm.
-const REGION_MM: f64 = 15.0;
+const REGION_MM: f64 = 25.0;
 /// Points of a template that are matched.
 const POINTS: usize = 160;
 /// Matches nearer to each other are one, px.
@@ -40,8 +40,8 @@ const AGREEING: f64 = 0.8;
 const COVERAGE: f64 = 0.7;
 /// In a gap there is no depth: the nearest pixel's is read, no farther off than this, mm.
 const NEAREST_MM: f64 = 10.0;
-/// Depth that differs by more from all around it is wrong, mm: a gap is not as deep.
-const WILD_MM: f64 = 20.0;
+/// The body's depth differs by no more within that, mm.
+const BODY_MM: f64 = 20.0;
 
 /// A feature: its pixel, its point, how well its template matched.
 type Seen = (Pixel, Point3<frame::Camera>, f64);
@@ -174,7 +174,8 @@ fn taught_shape(template: &Template, camera: &Lens) -> Option<Vec<ShapePoint>> {
 fn matched(red: &Image<f32>, camera: &Lens, template: &Template, region: &Region, body: f64) -> Option<Matched> {
     let shape = taught_shape(template, camera)?;
     let reach = shape.iter().map(|p| p.offset.norm()).fold(0.0, f64::max);
-    let half = reach + REGION_MM * camera.fx / TYPICAL_DISTANCE_MM;
+    let largest = 1.0 + SCALE_STEP * f64::from(*SCALES.end());
+    let half = largest * (reach + REGION_MM * camera.fx / TYPICAL_DISTANCE_MM);
     let (low, high) = (region.pixel.add_scalar(-half), region.pixel.add_scalar(half));
     let w = Window::clipped(low.x, low.y, high.x, high.y, red.width, red.height)?;
     let pixels = (w.y..w.y + w.height).flat_map(|y| &red.row(y)[w.x..w.x + w.width]).copied().collect();
@@ -205,8 +206,8 @@ fn cap(red: &Image<f32>, camera: &Lens, matched: &Matched, noise: &NoiseLaw) -> 
     Ok(fit_ellipse(&points, &limits).map_err(|_| Code::Ellipse)?.ellipse.centre)
 }
 
-/// Depth at a pixel of the map's images, mm, or the nearest there is. What stands out of all that is around it is no
-/// depth: any depth camera leaves it out.
+/// Depth at a pixel of the map's images, mm, or the nearest there is. Features are on the body, and what else is seen about
+/// them, through gaps and in the wheelhouse, lies far behind it.
 fn depth_at(map: &DepthMap<'_>, camera: &Lens, pixel: &Pixel) -> Option<f64> {
     let reach = NEAREST_MM * camera.fx / TYPICAL_DISTANCE_MM;
     let w = map.rays.window;
@@ -220,7 +221,8 @@ fn depth_at(map: &DepthMap<'_>, camera: &Lens, pixel: &Pixel) -> Option<f64> {
     });
     let valid: Vec<(f64, f64)> = valid.collect();
     let mut all: Vec<f64> = valid.iter().map(|(_, z)| *z).collect();
-    let middle = if all.is_empty() { return None } else { robust::median(&mut all) };
-    let plausible = valid.iter().filter(|(_, z)| (z - middle).abs() < WILD_MM);
+    let k = all.len() / 10;
+    let front = if all.is_empty() { return None } else { *all.select_nth_unstable_by(k, f64::total_cmp).1 };
+    let plausible = valid.iter().filter(|(_, z)| (z - front).abs() < BODY_MM);
     plausible.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, z)| *z)
 }

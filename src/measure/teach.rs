@@ -89,6 +89,7 @@ pub enum TeachError {
 }
 
 /// A taught model.
+#[derive(Clone)]
 pub struct Taught {
     /// The model; its features name their templates.
     pub model: VehicleFile,
