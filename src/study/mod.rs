@@ -6,13 +6,20 @@
 
 mod anova;
 mod bench;
+mod colour;
+mod control;
+mod corner;
 pub mod error;
+mod fixed;
 mod gauge;
+mod light;
+mod line;
 mod models;
 mod outcome;
 mod repeat;
 mod rotation;
 mod statistics;
+mod stored;
 mod sweep;
 mod translation;
 
@@ -50,6 +57,30 @@ pub enum Takes {
 
 /// All of them, in the order of a report.
 pub const STUDIES: &[Study] = &[
+    Study {
+        name: "control",
+        about: "the method as published beside ours, on the same captures",
+        takes: Takes::Captures,
+        run: control::run,
+    },
+    Study {
+        name: "corner",
+        about: "a corner found 2 px beside its place, by injection and by covariance (published table 3)",
+        takes: Takes::Nothing,
+        run: corner::run,
+    },
+    Study {
+        name: "light",
+        about: "which light works, with the loop open and closed (published table 2)",
+        takes: Takes::Nothing,
+        run: light::run,
+    },
+    Study {
+        name: "colour",
+        about: "every paint under red and white bars: contrast, features (published table 1)",
+        takes: Takes::Nothing,
+        run: colour::run,
+    },
     Study {
         name: "rotation",
         about: "2.5° steps to ±12.5°, the camera on a turntable at 800 mm (published table 6)",

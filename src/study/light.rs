@@ -1,0 +1,269 @@
+//! The published light (table 2): how bright the red light must be. Out: with the loop open, exposures as they suit white paint
+//! in the middle of the published window, which light works, of the bars and of the hall; with the loop closed, as the station
+//! runs, what becomes of every paint in halls from 20 to 2000 lx.
+
+use super::fixed::Fixed;
+use super::line::Line;
+use super::outcome::{Cell, Figure, Must, Outcome, Plot, Series, Table};
+use super::{Bench, Error, Given, Progress, error, sweep};
+use crate::measure::{Measurement, Measurer, Taught, Verdict};
+use crate::sim::{Body, Cue, Deviation, Fault, PAINTS, Paint, Script, When};
+use crate::vehicle::Target;
+use rayon::prelude::*;
+
+/// Light of the bars on the body, lx, that the open loop's exposures are made for.
+const EXPOSED_FOR_LUX: f64 = 200.0;
+/// And the hall's meanwhile.
+const DARK_HALL_LUX: f64 = 20.0;
+/// The bars' steps: those of the published table among them.
+const BARS_LUX: [f64; 12] = [20.0, 40.0, 60.0, 96.0, 132.0, 144.0, 200.0, 248.0, 330.0, 500.0, 700.0, 1000.0];
+const HALL_LUX: [f64; 7] = [20.0, 100.0, 200.0, 500.0, 800.0, 1000.0, 2000.0];
+const QUICK_BARS_LUX: [f64; 3] = [20.0, 200.0, 700.0];
+const QUICK_HALL_LUX: [f64; 3] = [20.0, 500.0, 2000.0];
+/// Up to this much of the hall's light every paint is to be measured.
+const MEASURED_TO_LUX: f64 = 500.0;
+
+#[derive(Clone, Copy, PartialEq)]
+enum Way {
+    /// Loop open, the bars' light.
+    Bars,
+    /// Loop open, the hall's.
+    Hall,
+    /// Loop closed, the hall's.
+    Closed,
+}
+
+const WAYS: [(Way, &str); 3] = [(Way::Bars, "open, bars"), (Way::Hall, "open, hall"), (Way::Closed, "closed, hall")];
+
+/// One vehicle in some light.
+struct Seen {
+    way: Way,
+    lux: f64,
+    paint: Paint,
+    /// In words: "ok", or the code.
+    came_to: String,
+    ok: bool,
+    /// Ok, and wrong.
+    wrong: bool,
+    /// Off by so much at the centroid, mm, where it is ok.
+    mm: Option<f64>,
+}
+
+impl Seen {
+    fn new(
+        way: Way,
+        lux: f64,
+        paint: Paint,
+        m: Option<&Measurement>,
+        truth: &Option<error::CameraFromVehicle>,
+        targets: &[Target],
+    ) -> Self {
+        let ok = m.filter(|m| m.verdict == Verdict::Ok).zip(truth.as_ref());
+        let code = m.and_then(|m| m.code).map(|c| c.number().to_string());
+        Self {
+            way,
+            lux,
+            paint,
+            came_to: if ok.is_some() { "ok".into() } else { code.unwrap_or_else(|| "–".into()) },
+            ok: ok.is_some(),
+            wrong: ok.is_some_and(|(m, truth)| error::is_wrong(m, truth, targets)),
+            mm: ok.and_then(|(m, truth)| Some(error::error(m, truth)?.fixed_rows::<3>(0).norm())),
+        }
+    }
+}
+
+/// A taught model.
+struct Model {
+    body: Body,
+    taught: Taught,
+    measurer: Measurer,
+    exposed: Fixed,
+}
+
+pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Error> {
+    let bench = Bench::new(given.scale, given.seed)?;
+    let (bars, hall): (&[f64], &[f64]) =
+        if given.quick { (&QUICK_BARS_LUX, &QUICK_HALL_LUX) } else { (&BARS_LUX, &HALL_LUX) };
+    let bodies = sweep::bodies(given.of(3, 1));
+    progress.begin("teaching", bodies.len());
+    let teach = |body: &Body| -> Result<Model, Error> {
+        let (shot, features) = bench.to_teach(body, PAINTS[0], &Deviation::default())?;
+        let taught = bench.taught(&shot, &features, &bench.calibration)?;
+        let station = bench.station(body, PAINTS[0], &Deviation::default(), &[10]);
+        station.set_script(in_hall(&bench, DARK_HALL_LUX));
+        let measurer = bench.measurer(&bench.calibration, taught.clone());
+        progress.step();
+        Ok(Model { body: body.clone(), taught, measurer, exposed: bench.exposed_for(&station, EXPOSED_FOR_LUX)? })
+    };
+    let models = bodies.par_iter().map(teach).collect::<Result<Vec<_>, _>>()?;
+
+    let (mut open, mut closed) = (Vec::new(), Vec::new());
+    for model in 0..models.len() {
+        for paint in PAINTS {
+            open.extend(bars.iter().map(|lux| (model, Way::Bars, *lux, paint)));
+            open.extend(hall.iter().map(|lux| (model, Way::Hall, *lux, paint)));
+        }
+        closed.extend(hall.iter().map(|lux| (model, *lux)));
+    }
+    progress.begin("measuring", open.len() + closed.len() * PAINTS.len());
+    let of_open = |&(model, way, lux, paint): &(usize, Way, f64, Paint)| -> Result<Vec<Seen>, Error> {
+        let seen = with_loop_open(&bench, &models[model], way, lux, paint, model as u64)?;
+        progress.step();
+        Ok(vec![seen])
+    };
+    let of_closed =
+        |&(model, lux): &(usize, f64)| with_loop_closed(&bench, &models[model], lux, model as u64, progress);
+    let seen: Vec<Vec<Seen>> = open.par_iter().map(of_open).collect::<Result<_, _>>()?;
+    let closed: Vec<Vec<Seen>> = closed.par_iter().map(of_closed).collect::<Result<_, _>>()?;
+    let seen: Vec<Seen> = seen.into_iter().chain(closed).flatten().collect();
+    Ok(outcome(given, &bench, models.len(), (bars, hall), &seen))
+}
+
+fn in_hall(bench: &Bench, lux: f64) -> Script {
+    Script(vec![Cue { when: When::Always, fault: Fault::Ambient(lux / bench.setup.hall_lux()) }])
+}
+
+fn with_loop_open(bench: &Bench, m: &Model, way: Way, lux: f64, paint: Paint, model: u64) -> Result<Seen, Error> {
+    let place = [11, model, lux.to_bits(), u64::from(way == Way::Bars)];
+    let stands = sweep::stands(bench, &m.body, &[11, model]);
+    let station = bench.station(&m.body, paint, &stands, &place);
+    let mut exposed = m.exposed;
+    let mut hall_lux = lux;
+    if way == Way::Bars {
+        // what is brighter than the bars can be is exposed longer in a hall that is darker by as much
+        let most = bench.setup.lux([1.0; 2]);
+        let beyond = (lux / most).max(1.0);
+        exposed.bars = [lux / beyond / most; 2];
+        exposed.red *= beyond;
+        hall_lux = DARK_HALL_LUX / beyond;
+    }
+    station.set_script(in_hall(bench, hall_lux));
+    let measured = exposed.shoot(&station)?.measure(&m.measurer);
+    Ok(Seen::new(way, lux, paint, Some(&measured.measurement), &Some(measured.truth), &m.taught.model.targets))
+}
+
+/// Every paint in turn before one station.
+fn with_loop_closed(
+    bench: &Bench,
+    m: &Model,
+    lux: f64,
+    model: u64,
+    progress: &dyn Progress,
+) -> Result<Vec<Seen>, Error> {
+    let mut line = Line::new(bench, m.taught.clone(), lux, &[12, model, lux.to_bits()])?;
+    let stands = sweep::stands(bench, &m.body, &[11, model]);
+    let one = |paint: Paint| {
+        let finished = line.measure(&m.body, paint, &stands);
+        progress.step();
+        let measurement = finished.as_ref().and_then(|f| f.measurement.as_ref());
+        let truth = finished.as_ref().and_then(|f| f.truth);
+        let seen = Seen::new(Way::Closed, lux, paint, measurement, &truth, &m.taught.model.targets);
+        // the station may refuse what measuring would not, by the light alone
+        let code = finished.as_ref().and_then(|f| f.outcome.code);
+        let refused = code.map(|code| Seen {
+            came_to: code.number().to_string(),
+            ok: false,
+            wrong: false,
+            mm: None,
+            ..seen_of(&seen)
+        });
+        refused.unwrap_or(seen)
+    };
+    Ok(PAINTS.into_iter().map(one).collect())
+}
+
+fn seen_of(seen: &Seen) -> Seen {
+    Seen { came_to: seen.came_to.clone(), ..*seen }
+}
+
+fn outcome(given: &Given, bench: &Bench, models: usize, (bars, hall): (&[f64], &[f64]), seen: &[Seen]) -> Outcome {
+    let of = |way: Way, lux: f64, paint: &str| -> Vec<&Seen> {
+        seen.iter().filter(|s| s.way == way && s.lux == lux && s.paint.name == paint).collect()
+    };
+    let mut tables = Vec::new();
+    for (way, title) in WAYS {
+        let mut columns = vec!["lx"];
+        columns.extend(PAINTS.map(|p| p.name));
+        columns.push("largest mm");
+        let mut table = Table::new(format!("Loop {title}: ok, or the codes"), &columns);
+        for &lux in if way == Way::Bars { bars } else { hall } {
+            let mut row = vec![Cell::number(lux, 0)];
+            row.extend(PAINTS.map(|paint| Cell::text(in_words(&of(way, lux, paint.name)))));
+            let off = seen.iter().filter(|s| s.way == way && s.lux == lux).filter_map(|s| s.mm);
+            row.push(Cell::number(off.reduce(f64::max), 3));
+            table.row(row);
+        }
+        tables.push(table);
+    }
+    let all_ok = |way: Way, lux: f64, paint: &str| of(way, lux, paint).iter().all(|s| s.ok);
+    // of the steps about the light that the exposures are made for, as far as all were ok
+    let window = |way: Way, steps: &[f64], paint: &str, middle: f64| -> Option<(f64, f64)> {
+        let at = steps.iter().position(|lux| *lux == middle).filter(|at| all_ok(way, steps[*at], paint))?;
+        let low = (0..=at).rev().take_while(|k| all_ok(way, steps[*k], paint)).last()?;
+        let high = (at..steps.len()).take_while(|k| all_ok(way, steps[*k], paint)).last()?;
+        Some((steps[low], steps[high]))
+    };
+    let by_bars = window(Way::Bars, bars, "white", EXPOSED_FOR_LUX);
+    let by_hall = window(Way::Hall, hall, "white", DARK_HALL_LUX);
+    let closed: Vec<&Seen> = seen.iter().filter(|s| s.way == Way::Closed).collect();
+    let share = |of: &[&Seen]| 100.0 * of.iter().filter(|s| s.ok).count() as f64 / of.len().max(1) as f64;
+    let up_to: Vec<&Seen> = closed.iter().copied().filter(|s| s.lux <= MEASURED_TO_LUX).collect();
+    let window_figures = vec![
+        Figure::new("loop open, white paint: measured from", by_bars.map(|w| w.0), "lx", 0)
+            .published("144 (fails ≤ 132)"),
+        Figure::new("loop open, white paint: measured to", by_bars.map(|w| w.1), "lx", 0)
+            .published("248 (wrong or failing above)"),
+        Figure::new("loop open, white paint: hall measured to", by_hall.map(|w| w.1), "lx", 0),
+        Figure::new(format!("loop closed: measured up to {MEASURED_TO_LUX} lx of hall"), share(&up_to), "%", 1),
+        Figure::new("loop closed: measured at all steps", share(&closed), "%", 1),
+        Figure::new("wrong poses called ok", seen.iter().filter(|s| s.wrong).count() as f64, "", 0)
+            .must(Must::AtMost(0.0)),
+    ];
+    let curve = |(way, name): &(Way, &str)| {
+        let steps = if *way == Way::Bars { bars } else { hall };
+        let at = |lux: &f64| {
+            let of: Vec<&Seen> = seen.iter().filter(|s| s.way == *way && s.lux == *lux).collect();
+            (lux.log10(), share(&of))
+        };
+        Series { name: (*name).into(), points: steps.iter().map(at).collect(), joined: true }
+    };
+    Outcome {
+        setting: format!(
+            "Simulated station at scale {}: {models} models as drawn, taught on white, each in every paint standing somewhere in view. \
+             Loop open: exposures as they suit white paint under {EXPOSED_FOR_LUX} lx of the bars in a hall of {DARK_HALL_LUX} lx; \
+             light beyond the bars' {:.0} lx is simulated by exposing longer. Loop closed: the whole station, which finds exposures \
+             and drives by itself. Seed {}.",
+            given.scale,
+            bench.setup.lux([1.0; 2]),
+            given.seed
+        ),
+        figures: window_figures,
+        tables,
+        remarks: Vec::new(),
+        plots: vec![Plot {
+            title: "Measured, of all paints".into(),
+            x: "log10 of lx".into(),
+            y: "%".into(),
+            series: WAYS.iter().map(curve).collect(),
+            levels: Vec::new(),
+        }],
+        pictures: Vec::new(),
+    }
+}
+
+/// "ok" where all were, else every code that came, and how many were ok.
+fn in_words(seen: &[&Seen]) -> String {
+    let ok = seen.iter().filter(|s| s.ok).count();
+    let wrong = seen.iter().filter(|s| s.wrong).count();
+    if wrong > 0 {
+        return format!("{wrong} WRONG");
+    }
+    let mut codes: Vec<&str> = seen.iter().filter(|s| !s.ok).map(|s| s.came_to.as_str()).collect();
+    codes.sort_unstable();
+    codes.dedup();
+    match (ok, codes.as_slice()) {
+        (_, []) => "ok".into(),
+        (0, codes) => codes.join(", "),
+        (ok, codes) => format!("{ok} ok, {}", codes.join(", ")),
+    }
+}
