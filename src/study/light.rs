@@ -97,98 +97,106 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
     };
     let models = bodies.par_iter().map(teach).collect::<Result<Vec<_>, _>>()?;
 
-    let (mut open, mut closed) = (Vec::new(), Vec::new());
-    for model in 0..models.len() {
-        for paint in PAINTS {
-            open.extend(bars.iter().map(|lux| (model, Way::Bars, *lux, paint)));
-            open.extend(hall.iter().map(|lux| (model, Way::Hall, *lux, paint)));
-        }
-        closed.extend(hall.iter().map(|lux| (model, *lux)));
-    }
-    progress.begin("measuring", open.len() + closed.len() * PAINTS.len());
-    let of_open = |&(model, way, lux, paint): &(usize, Way, f64, Paint)| -> Result<Vec<Seen>, Error> {
-        let seen = with_loop_open(&bench, &models[model], way, lux, paint, model as u64)?;
-        progress.step();
-        Ok(vec![seen])
+    let paints: Vec<Paint> = if given.quick { [0, 3, 5].map(|k| PAINTS[k]).to_vec() } else { PAINTS.to_vec() };
+    let of = |way: Way, steps: &[f64]| steps.iter().map(move |lux| (way, *lux)).collect::<Vec<_>>();
+    let open_steps = [of(Way::Bars, bars), of(Way::Hall, hall)].concat();
+    let vehicles: Vec<(usize, Paint)> =
+        (0..models.len()).flat_map(|model| paints.iter().map(move |paint| (model, *paint))).collect();
+    progress.begin("loop open", vehicles.len() * open_steps.len());
+    let of_vehicle = |&(model, paint): &(usize, Paint)| {
+        with_loop_open(&bench, &models[model], (model as u64, paint), &open_steps, progress)
     };
-    let of_closed =
-        |&(model, lux): &(usize, f64)| with_loop_closed(&bench, &models[model], lux, model as u64, progress);
-    let seen: Vec<Vec<Seen>> = open.par_iter().map(of_open).collect::<Result<_, _>>()?;
-    let closed: Vec<Vec<Seen>> = closed.par_iter().map(of_closed).collect::<Result<_, _>>()?;
+    let seen: Vec<Vec<Seen>> = vehicles.par_iter().map(of_vehicle).collect::<Result<_, _>>()?;
+    progress.begin("loop closed", vehicles.len() * hall.len());
+    // one after the other: a station waits for the thread that measures, which shares the work among all there are
+    let closed: Vec<Vec<Seen>> = models
+        .iter()
+        .enumerate()
+        .flat_map(|(model, m)| hall.iter().map(move |lux| (model as u64, m, *lux)))
+        .map(|(model, m, lux)| with_loop_closed(&bench, m, (model, lux), &paints, progress))
+        .collect::<Result<_, _>>()?;
     let seen: Vec<Seen> = seen.into_iter().chain(closed).flatten().collect();
-    Ok(outcome(given, &bench, models.len(), (bars, hall), &seen))
+    Ok(outcome(given, &bench, (models.len(), &paints), (bars, hall), &seen))
 }
 
 fn in_hall(bench: &Bench, lux: f64) -> Script {
     Script(vec![Cue { when: When::Always, fault: Fault::Ambient(lux / bench.setup.hall_lux()) }])
 }
 
-fn with_loop_open(bench: &Bench, m: &Model, way: Way, lux: f64, paint: Paint, model: u64) -> Result<Seen, Error> {
-    let place = [11, model, lux.to_bits(), u64::from(way == Way::Bars)];
+/// One vehicle in every light.
+fn with_loop_open(
+    bench: &Bench,
+    m: &Model,
+    (model, paint): (u64, Paint),
+    steps: &[(Way, f64)],
+    progress: &dyn Progress,
+) -> Result<Vec<Seen>, Error> {
     let stands = sweep::stands(bench, &m.body, &[11, model]);
-    let station = bench.station(&m.body, paint, &stands, &place);
-    let mut exposed = m.exposed;
-    let mut hall_lux = lux;
-    if way == Way::Bars {
-        // what is brighter than the bars can be is exposed longer in a hall that is darker by as much
-        let most = bench.setup.lux([1.0; 2]);
-        let beyond = (lux / most).max(1.0);
-        exposed.bars = [lux / beyond / most; 2];
-        exposed.red *= beyond;
-        hall_lux = DARK_HALL_LUX / beyond;
-    }
-    station.set_script(in_hall(bench, hall_lux));
-    let measured = exposed.shoot(&station)?.measure(&m.measurer);
-    Ok(Seen::new(way, lux, paint, Some(&measured.measurement), &Some(measured.truth), &m.taught.model.targets))
+    let station = bench.station(&m.body, paint, &stands, &[11, model]);
+    let one = |&(way, lux): &(Way, f64)| {
+        let mut exposed = m.exposed;
+        let mut hall_lux = lux;
+        if way == Way::Bars {
+            // what is brighter than the bars can be is exposed longer in a hall that is darker by as much
+            let most = bench.setup.lux([1.0; 2]);
+            let beyond = (lux / most).max(1.0);
+            exposed.bars = [lux / beyond / most; 2];
+            exposed.red *= beyond;
+            hall_lux = DARK_HALL_LUX / beyond;
+        }
+        station.set_script(in_hall(bench, hall_lux));
+        let measured = exposed.shoot(&station)?.measure(&m.measurer);
+        progress.step();
+        let (truth, targets) = (Some(measured.truth), &m.taught.model.targets);
+        Ok(Seen::new(way, lux, paint, Some(&measured.measurement), &truth, targets))
+    };
+    steps.iter().map(one).collect()
 }
 
-/// Every paint in turn before one station.
+/// A vehicle in every paint in turn before one station.
 fn with_loop_closed(
     bench: &Bench,
     m: &Model,
-    lux: f64,
-    model: u64,
+    (model, lux): (u64, f64),
+    paints: &[Paint],
     progress: &dyn Progress,
 ) -> Result<Vec<Seen>, Error> {
     let mut line = Line::new(bench, m.taught.clone(), lux, &[12, model, lux.to_bits()])?;
     let stands = sweep::stands(bench, &m.body, &[11, model]);
-    let one = |paint: Paint| {
-        let finished = line.measure(&m.body, paint, &stands);
+    let one = |paint: &Paint| {
+        let finished = line.measure(&m.body, *paint, &stands);
         progress.step();
         let measurement = finished.as_ref().and_then(|f| f.measurement.as_ref());
         let truth = finished.as_ref().and_then(|f| f.truth);
-        let seen = Seen::new(Way::Closed, lux, paint, measurement, &truth, &m.taught.model.targets);
-        // the station may refuse what measuring would not, by the light alone
-        let code = finished.as_ref().and_then(|f| f.outcome.code);
-        let refused = code.map(|code| Seen {
-            came_to: code.number().to_string(),
-            ok: false,
-            wrong: false,
-            mm: None,
-            ..seen_of(&seen)
-        });
-        refused.unwrap_or(seen)
+        let seen = Seen::new(Way::Closed, lux, *paint, measurement, &truth, &m.taught.model.targets);
+        // the station may refuse by the light alone what measuring would not
+        match finished.and_then(|f| f.outcome.code) {
+            Some(code) => Seen { came_to: code.number().to_string(), ok: false, wrong: false, mm: None, ..seen },
+            None => seen,
+        }
     };
-    Ok(PAINTS.into_iter().map(one).collect())
+    Ok(paints.iter().map(one).collect())
 }
 
-fn seen_of(seen: &Seen) -> Seen {
-    Seen { came_to: seen.came_to.clone(), ..*seen }
-}
-
-fn outcome(given: &Given, bench: &Bench, models: usize, (bars, hall): (&[f64], &[f64]), seen: &[Seen]) -> Outcome {
+fn outcome(
+    given: &Given,
+    bench: &Bench,
+    (models, paints): (usize, &[Paint]),
+    (bars, hall): (&[f64], &[f64]),
+    seen: &[Seen],
+) -> Outcome {
     let of = |way: Way, lux: f64, paint: &str| -> Vec<&Seen> {
         seen.iter().filter(|s| s.way == way && s.lux == lux && s.paint.name == paint).collect()
     };
     let mut tables = Vec::new();
     for (way, title) in WAYS {
         let mut columns = vec!["lx"];
-        columns.extend(PAINTS.map(|p| p.name));
+        columns.extend(paints.iter().map(|p| p.name));
         columns.push("largest mm");
         let mut table = Table::new(format!("Loop {title}: ok, or the codes"), &columns);
         for &lux in if way == Way::Bars { bars } else { hall } {
             let mut row = vec![Cell::number(lux, 0)];
-            row.extend(PAINTS.map(|paint| Cell::text(in_words(&of(way, lux, paint.name)))));
+            row.extend(paints.iter().map(|paint| Cell::text(in_words(&of(way, lux, paint.name)))));
             let off = seen.iter().filter(|s| s.way == way && s.lux == lux).filter_map(|s| s.mm);
             row.push(Cell::number(off.reduce(f64::max), 3));
             table.row(row);
@@ -229,11 +237,12 @@ fn outcome(given: &Given, bench: &Bench, models: usize, (bars, hall): (&[f64], &
     };
     Outcome {
         setting: format!(
-            "Simulated station at scale {}: {models} models as drawn, taught on white, each in every paint standing somewhere in view. \
+            "Simulated station at scale {}: {models} models as drawn, taught on white, each in {} paints standing somewhere in view. \
              Loop open: exposures as they suit white paint under {EXPOSED_FOR_LUX} lx of the bars in a hall of {DARK_HALL_LUX} lx; \
              light beyond the bars' {:.0} lx is simulated by exposing longer. Loop closed: the whole station, which finds exposures \
              and drives by itself. Seed {}.",
             given.scale,
+            paints.len(),
             bench.setup.lux([1.0; 2]),
             given.seed
         ),
