@@ -29,6 +29,8 @@ mod teach;
 mod workspace;
 
 pub use cycle::{Cycle, Stage};
+pub(crate) use judge::{EDGE_BIAS_MM, LIGHT_SHIFT_MM_PER_DEG, NORMAL_BIAS_MM, PAINT_SHIFT_MM};
+pub(crate) use locate::ARCH_TURN_RAD;
 pub use result::{
     Euler, FeatureResult, Measurement, Method, PoseMatrix, Station, TargetUncertainty, Timing, Uncertainty, Verdict,
     Xyz, json, table,

@@ -125,7 +125,7 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
                 Cell::text(paint.name),
                 Cell::text(*name),
                 Cell::number(average(|s| 100.0 * s.panel), 1),
-                Cell::number(average(|s| 100.0 * s.gap), 1),
+                Cell::number(average(|s| 100.0 * s.gap), 2),
                 Cell::number(average(Seen::contrast), 2),
                 Cell::number(over_noise, 1),
                 share(of.iter().filter(|s| s.ok_fixed).count(), of.len()),
@@ -183,7 +183,7 @@ fn lit(paint: Paint, light: usize) -> Paint {
     if LIGHTS[light] == "white" { Paint { red: paint.white, ..paint } } else { paint }
 }
 
-/// Median levels beside the features' edges, above black as a share of white: on the panel and in the gap; and their
+/// Levels beside the features' edges, above black as a share of white: on the panel and in the gap; and their
 /// difference over the panel's noise.
 fn edges(shot: &Shot, measurer: &Measurer) -> [f64; 3] {
     let (lens, camera) = (&measurer.rig().camera, &shot.capture.camera);
@@ -203,7 +203,10 @@ fn edges(shot: &Shot, measurer: &Measurer) -> [f64; 3] {
             }
         }
     }
-    let [panel, gap] = levels.map(|mut of| if of.is_empty() { f64::NAN } else { robust::median(&mut of) });
+    let [mut on_panel, in_gap] = levels;
+    // a gap may be darker than a grey level: their mean tells more than the median
+    let (Some(gap), false) = (mean(&in_gap), on_panel.is_empty()) else { return [f64::NAN; 3] };
+    let panel = robust::median(&mut on_panel);
     let gain = shot.capture.images.red_gain_dn_per_e.unwrap_or(TYPICAL_GAIN);
     let noise = NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level);
     let share = |level: f64| (level - camera.black_level) / (camera.white_level() - camera.black_level);

@@ -4,8 +4,10 @@
 //!
 //! The published tables: Scientific Reports (2025), s41598-025-07269-y. A study is one file and one line of [`STUDIES`].
 
+mod advice;
 mod anova;
 mod bench;
+mod board;
 mod colour;
 mod control;
 mod corner;
@@ -22,6 +24,7 @@ mod statistics;
 mod stored;
 mod sweep;
 mod translation;
+mod uncertainty;
 
 pub use bench::{Bench, Measured, Shot};
 pub use outcome::{Cell, Figure, Must, Outcome, Plot, Seen, Series, Table};
@@ -62,6 +65,12 @@ pub const STUDIES: &[Study] = &[
         about: "the method as published beside ours, on the same captures",
         takes: Takes::Captures,
         run: control::run,
+    },
+    Study {
+        name: "board",
+        about: "from frame to frame on a circle board, ten repeats at five distances (published tables 4, 5)",
+        takes: Takes::Nothing,
+        run: board::run,
     },
     Study {
         name: "corner",
@@ -110,6 +119,18 @@ pub const STUDIES: &[Study] = &[
         about: "gauge R&R with the vehicle parked anew: 10 vehicles, 3 people, 2 times",
         takes: Takes::Nothing,
         run: gauge::run,
+    },
+    Study {
+        name: "uncertainty",
+        about: "error over stated sigma, coverage of k = 2, detection of a displaced feature",
+        takes: Takes::Nothing,
+        run: uncertainty::run,
+    },
+    Study {
+        name: "advice",
+        about: "from a vehicle model alone: expected U (k = 2), what a further feature and midpoints bring",
+        takes: Takes::Vehicle,
+        run: advice::run,
     },
 ];
 

@@ -121,8 +121,8 @@ fn outcome(given: &Given, stood: &[Stood], setting: String) -> Outcome {
         figures,
         tables: if stood.iter().any(|s| s.truth) { vec![spread, bias] } else { vec![spread] },
         remarks: vec![
-            "Published: \"identical across several hundred runs\", which is one image processed again; here that is so, too, bit \
-             by bit. The bias is that of one paint in one place against another; Cgk counts it as the gauge's."
+            "Published: \"identical across several hundred runs\", which is one image processed again. The bias is that of one \
+             paint in one place; Cgk counts it as the gauge's."
                 .into(),
         ],
         plots: vec![Plot {
