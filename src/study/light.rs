@@ -203,16 +203,10 @@ fn outcome(
         }
         tables.push(table);
     }
-    let all_ok = |way: Way, lux: f64, paint: &str| of(way, lux, paint).iter().all(|s| s.ok);
-    // of the steps about the light that the exposures are made for, as far as all were ok
-    let window = |way: Way, steps: &[f64], paint: &str, middle: f64| -> Option<(f64, f64)> {
-        let at = steps.iter().position(|lux| *lux == middle).filter(|at| all_ok(way, steps[*at], paint))?;
-        let low = (0..=at).rev().take_while(|k| all_ok(way, steps[*k], paint)).last()?;
-        let high = (at..steps.len()).take_while(|k| all_ok(way, steps[*k], paint)).last()?;
-        Some((steps[low], steps[high]))
-    };
-    let by_bars = window(Way::Bars, bars, "white", EXPOSED_FOR_LUX);
-    let by_hall = window(Way::Hall, hall, "white", DARK_HALL_LUX);
+    let all_ok = &|way: Way, lux: f64, paint: &str| of(way, lux, paint).iter().all(|s| s.ok);
+    let white = |way: Way| move |lux: f64| all_ok(way, lux, PAINTS[0].name);
+    let by_bars = window(bars, EXPOSED_FOR_LUX, white(Way::Bars));
+    let by_hall = window(hall, DARK_HALL_LUX, white(Way::Hall));
     let closed: Vec<&Seen> = seen.iter().filter(|s| s.way == Way::Closed).collect();
     let share = |of: &[&Seen]| 100.0 * of.iter().filter(|s| s.ok).count() as f64 / of.len().max(1) as f64;
     let up_to: Vec<&Seen> = closed.iter().copied().filter(|s| s.lux <= MEASURED_TO_LUX).collect();
@@ -260,6 +254,14 @@ fn outcome(
     }
 }
 
+/// The least and the most of the rising `steps` about `middle`, one of them, between which all are ok; none where it is not.
+fn window(steps: &[f64], middle: f64, ok: impl Fn(f64) -> bool) -> Option<(f64, f64)> {
+    let at = steps.iter().position(|lux| *lux == middle)?;
+    let low = steps[..=at].iter().rev().take_while(|lux| ok(**lux)).last()?;
+    let high = steps[at..].iter().take_while(|lux| ok(**lux)).last()?;
+    Some((*low, *high))
+}
+
 /// "ok" where all were, else every code that came, and how many were ok.
 fn in_words(seen: &[&Seen]) -> String {
     let ok = seen.iter().filter(|s| s.ok).count();
@@ -274,5 +276,37 @@ fn in_words(seen: &[&Seen]) -> String {
         (_, []) => "ok".into(),
         (0, codes) => codes.join(", "),
         (ok, codes) => format!("{ok} ok, {}", codes.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_window_ends_where_the_first_step_to_either_side_fails() {
+        let steps = [20.0, 60.0, 200.0, 330.0, 500.0];
+        assert_eq!(window(&steps, 200.0, |lux| lux != 500.0 && lux != 20.0), Some((60.0, 330.0)));
+        assert_eq!(window(&steps, 200.0, |lux| lux != 330.0), Some((20.0, 200.0)), "what is ok beyond does not count");
+        assert_eq!(window(&steps, 200.0, |lux| lux != 200.0), None);
+        assert_eq!(window(&steps, 20.0, |_| true), Some((20.0, 500.0)));
+    }
+
+    #[test]
+    fn a_cell_tells_what_all_models_came_to_and_what_was_wrong_first() {
+        let seen = |came_to: &str, wrong| Seen {
+            way: Way::Bars,
+            lux: 200.0,
+            paint: PAINTS[0],
+            came_to: came_to.into(),
+            ok: came_to == "ok",
+            wrong,
+            mm: None,
+        };
+        let (ok, dark, bad) = (seen("ok", false), seen("301", false), seen("ok", true));
+        assert_eq!(in_words(&[&ok, &ok]), "ok");
+        assert_eq!(in_words(&[&dark, &ok, &dark]), "1 ok, 301");
+        assert_eq!(in_words(&[&dark]), "301");
+        assert_eq!(in_words(&[&ok, &bad, &dark]), "1 WRONG");
     }
 }
