@@ -14,8 +14,8 @@ use crate::sim::{self, Deviation, PAINTS, Scene, Setup};
 use crate::vehicle::{Feature, Kind, Target, Template, VehicleFile};
 use nalgebra::{DMatrix, Matrix3, Matrix6, Vector3};
 
-/// Noise of a feature's place, 1 sigma, mm.
-const NOISE_MM: f64 = 0.01;
+/// Noise of a feature's place along the panel and across it, 1 sigma, mm.
+const NOISE_MM: (f64, f64) = (0.01, 0.003);
 /// Radius of a wheel arch: its top slides along by that times how well its turn is known, mm.
 const ARCH_MM: f64 = 365.0;
 /// What a click's pixel is at the usual distance at half resolution, mm.
@@ -130,7 +130,7 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
     let gained = number(&midpoints, 1).zip(number(&midpoints, 4)).map(|(without, with)| 100.0 * (1.0 - with / without));
     Ok(Outcome {
         setting: format!(
-            "{setting} From the model alone: noise of {NOISE_MM} mm, edges that lie {EDGE_BIAS_MM} mm (1 sigma) beside, a vehicle turned by \
+            "{setting} From the model alone: noise of {} mm, edges that lie {EDGE_BIAS_MM} mm (1 sigma) beside, a vehicle turned by \
              {TURNED_DEG}°, its paint the taught one, an exact calibration."
         ),
         figures: vec![
