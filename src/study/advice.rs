@@ -131,7 +131,8 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
     Ok(Outcome {
         setting: format!(
             "{setting} From the model alone: noise of {} mm, edges that lie {EDGE_BIAS_MM} mm (1 sigma) beside, a vehicle turned by \
-             {TURNED_DEG}°, its paint the taught one, an exact calibration."
+             {TURNED_DEG}°, its paint the taught one, an exact calibration.",
+            NOISE_MM.0
         ),
         figures: vec![
             Figure::new("worst target's U (k = 2), mean of the models", number(&table, 8), "mm", 3),
@@ -193,8 +194,8 @@ fn points(vehicle: &VehicleFile, templates: &[Template]) -> Vec<Point> {
 /// Of a corner whose click does not count.
 fn of_corner(normal: Vector3<f64>) -> Matrix3<f64> {
     let across = normal * normal.transpose();
-    (Matrix3::identity() - across) * (EDGE_BIAS_MM.powi(2) + NOISE_MM.powi(2))
-        + across * (NORMAL_BIAS_MM.powi(2) + NOISE_MM.powi(2))
+    (Matrix3::identity() - across) * (EDGE_BIAS_MM.powi(2) + NOISE_MM.0.powi(2))
+        + across * (NORMAL_BIAS_MM.powi(2) + NOISE_MM.1.powi(2))
 }
 
 /// Covariance of the pose, as the station states it, and the point it is of; none where points determine no pose.
