@@ -14,8 +14,8 @@ use crate::sim::{self, Deviation, PAINTS, Scene, Setup};
 use crate::vehicle::{Feature, Kind, Target, Template, VehicleFile};
 use nalgebra::{DMatrix, Matrix3, Matrix6, Vector3};
 
-/// Noise of a feature's place, 1 sigma, mm.
-const NOISE_MM: f64 = 0.01;
+/// Noise of a feature's place along the panel and across it, 1 sigma, mm.
+const NOISE_MM: (f64, f64) = (0.01, 0.003);
 /// Radius of a wheel arch: its top slides along by that times how well its turn is known, mm.
 const ARCH_MM: f64 = 365.0;
 /// What a click's pixel is at the usual distance at half resolution, mm.
@@ -130,8 +130,9 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
     let gained = number(&midpoints, 1).zip(number(&midpoints, 4)).map(|(without, with)| 100.0 * (1.0 - with / without));
     Ok(Outcome {
         setting: format!(
-            "{setting} From the model alone: noise of {NOISE_MM} mm, edges that lie {EDGE_BIAS_MM} mm (1 sigma) beside, a vehicle turned by \
-             {TURNED_DEG}°, its paint the taught one, an exact calibration."
+            "{setting} From the model alone: noise of {} mm, edges that lie {EDGE_BIAS_MM} mm (1 sigma) beside, a vehicle turned by \
+             {TURNED_DEG}°, its paint the taught one, an exact calibration.",
+            NOISE_MM.0
         ),
         figures: vec![
             Figure::new("worst target's U (k = 2), mean of the models", number(&table, 8), "mm", 3),
@@ -193,8 +194,8 @@ fn points(vehicle: &VehicleFile, templates: &[Template]) -> Vec<Point> {
 /// Of a corner whose click does not count.
 fn of_corner(normal: Vector3<f64>) -> Matrix3<f64> {
     let across = normal * normal.transpose();
-    (Matrix3::identity() - across) * (EDGE_BIAS_MM.powi(2) + NOISE_MM.powi(2))
-        + across * (NORMAL_BIAS_MM.powi(2) + NOISE_MM.powi(2))
+    (Matrix3::identity() - across) * (EDGE_BIAS_MM.powi(2) + NOISE_MM.0.powi(2))
+        + across * (NORMAL_BIAS_MM.powi(2) + NOISE_MM.1.powi(2))
 }
 
 /// Covariance of the pose, as the station states it, and the point it is of; none where points determine no pose.

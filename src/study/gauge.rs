@@ -108,7 +108,8 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
         figures,
         tables: vec![table],
         remarks: vec![
-            "The parts' variation is that of where vehicles are parked, ±25 mm and ±5°; against a tolerance the last column counts."
+            "The parts' variation is that of where vehicles are parked, ±25 mm and ±5°; against a tolerance the last column counts. What \
+             a paint and a body shift alike each time is no part of a gauge's R&R, but of `models` and `uncertainty`."
                 .into(),
         ],
         ..Outcome::default()

@@ -8,6 +8,9 @@ use super::{Bench, Error, Given, Progress};
 use crate::sim::{Build, Deviation, PAINTS};
 use nalgebra::Vector6;
 
+/// So many of those that miss a target are named.
+const WORST: usize = 6;
+
 pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Error> {
     let bench = Bench::new(given.scale, given.seed)?;
     let models = sweep::bodies(given.of(10, 2));
@@ -55,15 +58,20 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
     let (in_view, ok, mut remarks) = sweep::refused(&runs, &moved, "");
     let known = || runs.iter().zip(&errors).filter_map(|(run, e)| Some((run, (*e)?)));
     for (what, off, limit) in [("mm", millimetres as fn(&Vector6<f64>) -> f64, 0.06), ("°", degrees, 0.02)] {
-        let beyond: Vec<String> = known()
-            .filter(|(_, e)| off(e) > limit)
+        let mut beyond: Vec<_> = known().filter(|(_, e)| off(e) > limit).collect();
+        beyond.sort_by(|a, b| off(&b.1).total_cmp(&off(&a.1)));
+        let n = beyond.len();
+        let beyond: Vec<String> = beyond
+            .into_iter()
+            .take(WORST)
             .map(|(run, e)| {
                 let d = &run.places[0].1;
                 format!("{} {} {:.3} {what} (turned by {:+.1}°)", run.paint.name, run.body.name, off(&e), d.yaw_deg)
             })
             .collect();
         if !beyond.is_empty() {
-            remarks.push(format!("Beyond {limit} {what}: {}.", beyond.join(", ")));
+            let all = known().count();
+            remarks.push(format!("Beyond {limit} {what}: {n} of {all}; the worst are {}.", beyond.join(", ")));
         }
     }
     let all: Vec<Vector6<f64>> = errors.iter().flatten().copied().collect();

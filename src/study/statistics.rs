@@ -5,6 +5,11 @@ pub(super) fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
+/// Mean of the magnitudes of at least one value.
+pub(super) fn mean_magnitude(values: &[f64]) -> Option<f64> {
+    mean(&values.iter().map(|v| v.abs()).collect::<Vec<_>>())
+}
+
 /// Root mean square of at least one value.
 pub(super) fn rms(values: &[f64]) -> Option<f64> {
     mean(&values.iter().map(|v| v * v).collect::<Vec<_>>()).map(f64::sqrt)
@@ -36,11 +41,12 @@ mod tests {
 
     #[test]
     fn of_nothing_there_is_nothing() {
-        assert_eq!((mean(&[]), rms(&[]), largest(&[]), slope(&[(1.0, 1.0)])), (None, None, None, None));
+        assert_eq!((mean_magnitude(&[]), rms(&[]), largest(&[]), slope(&[(1.0, 1.0)])), (None, None, None, None));
         assert_eq!(
             (mean(&[1.0, 3.0]), rms(&[3.0, -4.0]).map(|v| v * v), largest(&[1.0, -4.0])),
             (Some(2.0), Some(12.5), Some(4.0))
         );
+        assert_eq!(mean_magnitude(&[1.0, -3.0]), Some(2.0));
         assert!((slope(&[(0.0, 1.0), (1.0, 3.0), (2.0, 5.0)]).expect("a line") - 2.0).abs() < 1e-12);
     }
 }

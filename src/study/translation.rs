@@ -2,7 +2,7 @@
 //! error over the range, the rail's direction fitted to what was measured, and the scale along it.
 
 use super::outcome::{Cell, Figure, Must, Outcome, Plot, Series, Table};
-use super::statistics::{largest, mean, slope};
+use super::statistics::{largest, mean, mean_magnitude, slope};
 use super::sweep::{self, Moved, Run};
 use super::{Bench, Error, Given, Progress};
 use crate::geometry::Point3;
@@ -67,7 +67,7 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
             Cell::text(&run.body.name),
             Cell::text(run.paint.name),
             Cell::number(f.range.map(|r| r.0), 0),
-            Cell::number(mean(&magnitudes(&f.steps)), 4),
+            Cell::number(mean_magnitude(&f.steps), 4),
             Cell::number(largest(&f.steps), 4),
             Cell::number(f.range.map(|r| r.1), 4),
             Cell::number(f.scale_percent, 4),
@@ -77,7 +77,7 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
     let all: Vec<Vec<f64>> = found.iter().map(|f| f.steps.clone()).collect();
     let mut paints = Table::new("By paint", &["paint", "steps", "mean step error mm", "largest mm"]);
     for (name, steps) in sweep::by_paint(&runs, &all) {
-        let cells = [mean(&magnitudes(&steps)), largest(&steps)].map(|v| Cell::number(v, 4));
+        let cells = [mean_magnitude(&steps), largest(&steps)].map(|v| Cell::number(v, 4));
         paints.row([Cell::text(name), Cell::count(steps.len())].into_iter().chain(cells).collect());
     }
     let mut figures = Vec::new();
@@ -85,7 +85,7 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
         let of = |value: &dyn Fn(&Found) -> Vec<f64>| -> Vec<f64> {
             found.iter().zip(&axes).filter(|(_, a)| **a == axis).flat_map(|(f, _)| value(f)).collect()
         };
-        let steps = mean(&magnitudes(&of(&|f| f.steps.clone())));
+        let steps = mean_magnitude(&of(&|f| f.steps.clone()));
         let range = largest(&of(&|f| f.range.map(|r| r.1).into_iter().collect()));
         let with = |figure: Figure, text: Option<&str>| match text {
             Some(text) => figure.published(text),
@@ -195,10 +195,6 @@ fn rail(points: &[(f64, Vector3<f64>)]) -> Option<Vector3<f64>> {
     let direction = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
     let way = direction.dot(&(last - first));
     (way != 0.0).then(|| direction * way.signum())
-}
-
-fn magnitudes(values: &[f64]) -> Vec<f64> {
-    values.iter().map(|v| v.abs()).collect()
 }
 
 #[cfg(test)]
