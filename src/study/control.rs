@@ -82,7 +82,7 @@ fn simulated(given: &Given, progress: &dyn Progress) -> Result<Outcome, Error> {
         Ok([measurer(Method::Published), measurer(Method::Points)])
     };
     let measurers = models.par_iter().map(teach).collect::<Result<Vec<_>, _>>()?;
-    let reach = given.of(2, 1) as i32;
+    let reach = given.of(2, 1);
     // of each model: turned in steps, then moved along and across in steps, always from where it should stand
     let ways: [fn(f64) -> Deviation; 3] = [
         |k| Deviation { yaw_deg: STEP_DEG * k, ..Deviation::default() },
@@ -92,7 +92,7 @@ fn simulated(given: &Given, progress: &dyn Progress) -> Result<Outcome, Error> {
     let mut all = Vec::new();
     for model in 0..models.len() {
         for way in 0..ways.len() {
-            all.extend((-reach..=reach).map(|k| (model, way, f64::from(k))));
+            all.extend((0..=2 * reach).map(|k| (model, way, k as f64 - reach as f64)));
         }
     }
     progress.begin("measuring", all.len());
@@ -109,7 +109,7 @@ fn simulated(given: &Given, progress: &dyn Progress) -> Result<Outcome, Error> {
     };
     let places = all.par_iter().map(one).collect::<Result<Vec<_>, _>>()?;
 
-    let runs: Vec<&[Both]> = places.chunks(2 * reach as usize + 1).collect();
+    let runs: Vec<&[Both]> = places.chunks(2 * reach + 1).collect();
     let of_way = |way: usize| runs.iter().skip(way).step_by(ways.len()).copied();
     let mut figures_of_steps = Vec::new();
     for (method, by) in METHODS.iter().enumerate() {
