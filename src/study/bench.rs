@@ -147,7 +147,7 @@ impl Bench {
     /// A model of `features`, clicked in `shot`, by a calibration.
     pub fn taught(&self, shot: &Shot, features: &VehicleFile, calibration: &Calibration) -> Result<Taught, Error> {
         teach_from(&shot.capture, &shot.load(), calibration, features, "taught")
-            .map_err(|source| Error::Teach { body: features.name.clone(), source })
+            .map_err(|e| Error::Teach { body: features.name.clone(), source: Box::new(e) })
     }
 
     /// Measures by a taught model and a calibration.

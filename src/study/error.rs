@@ -53,12 +53,20 @@ pub fn at_target(m: &Measurement, truth: &CameraFromVehicle, p: [f64; 3]) -> Opt
     Some((motion(m, truth)? * p) - p)
 }
 
-/// Whether a pose is a wrong one. `targets`: those of the vehicle model.
-pub fn is_wrong(m: &Measurement, truth: &CameraFromVehicle, targets: &[Target]) -> bool {
-    let (Some(e), Some(u)) = (error(m, truth), &m.uncertainty_k2) else { return false };
+/// Whether a pose is off by more than twice its stated U (k = 2) at one of the vehicle model's `targets`.
+pub fn beyond_stated(m: &Measurement, truth: &CameraFromVehicle, targets: &[Target]) -> bool {
+    let Some(u) = &m.uncertainty_k2 else { return false };
     let stated = |name: &str| u.targets.iter().find(|t| t.name == name).map_or(0.0, |t| t.mm);
     let beyond = |t: &Target| at_target(m, truth, t.position_mm).is_some_and(|d| d.norm() > 2.0 * stated(&t.name));
-    targets.iter().any(beyond) || e.fixed_rows::<3>(0).norm() > WRONG_MM || e[5].abs().to_degrees() > WRONG_YAW_DEG
+    targets.iter().any(beyond)
+}
+
+/// Whether a pose is a wrong one. `targets`: those of the vehicle model.
+pub fn is_wrong(m: &Measurement, truth: &CameraFromVehicle, targets: &[Target]) -> bool {
+    let Some(e) = error(m, truth) else { return false };
+    beyond_stated(m, truth, targets)
+        || e.fixed_rows::<3>(0).norm() > WRONG_MM
+        || e[5].abs().to_degrees() > WRONG_YAW_DEG
 }
 
 #[cfg(test)]
@@ -101,6 +109,7 @@ mod tests {
         let off = at_target(&turned(0.02), &truth, targets[0].position_mm).expect("a pose").norm();
         assert!((off - 1.26).abs() < 0.01, "{off}");
         assert!(!is_wrong(&turned(0.02), &truth, &targets) && is_wrong(&turned(0.03), &truth, &targets));
+        assert!(beyond_stated(&turned(0.03), &truth, &targets) && !beyond_stated(&turned(0.2), &truth, &[]));
         assert!(!is_wrong(&turned(0.1), &truth, &[]) && is_wrong(&turned(0.16), &truth, &[]));
     }
 }

@@ -195,7 +195,7 @@ pub enum Error {
         /// Of which body.
         body: String,
         /// Why.
-        source: TeachError,
+        source: Box<TeachError>,
     },
     /// A stored file.
     #[error(transparent)]

@@ -41,8 +41,8 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
         let mut row = vec![Cell::text(&body.name), Cell::count(e.len())];
         row.extend((0..3).map(|i| Cell::number(axis(i, 1.0), 3)));
         row.extend((3..6).map(|i| Cell::number(axis(i, 1f64.to_degrees()), 4)));
-        row.push(Cell::number(largest(&e.iter().map(|e| millimetres(e)).collect::<Vec<_>>()), 3));
-        row.push(Cell::number(largest(&e.iter().map(|e| degrees(e)).collect::<Vec<_>>()), 4));
+        row.push(Cell::number(largest(&e.iter().map(millimetres).collect::<Vec<_>>()), 3));
+        row.push(Cell::number(largest(&e.iter().map(degrees).collect::<Vec<_>>()), 4));
         table.row(row);
     }
     let mut paints = Table::new("By paint", &["paint", "measured", "rms mm", "largest mm", "rms °", "largest °"]);
