@@ -25,6 +25,7 @@ pub mod plc;
 pub mod records;
 pub mod sim;
 pub mod station;
+pub mod study;
 #[cfg(test)]
 mod testing;
 pub mod time;

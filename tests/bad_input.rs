@@ -292,11 +292,7 @@ fn wrong_usage_is_status_2() {
     let bench = Bench::new("usage");
     let files = ["--calibration", "calibration.toml", "--vehicle", "vehicle.toml"];
     for (arguments, sentence) in [
-        (
-            &["measure", "c", "--method", "published"][..],
-            "--method published: not available yet, allowed: points, dense",
-        ),
-        (&["measure", "c", "--method", "best"], "invalid value 'best'"),
+        (&["measure", "c", "--method", "best"][..], "invalid value 'best'"),
         (&["measure", "c", "--detector", "no.onnx"], "no.onnx: cannot be read"),
         (&["measure"], "<CAPTURE>"),
     ] {

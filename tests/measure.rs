@@ -77,7 +77,7 @@ fn two_regions_that_are_left_are_too_few_for_any_method() {
     let taught = set.teach("taught", &features);
     let truth = set.truth("moved");
     let covers = [0, 1].map(|k| (truth.pixel(&taught.model.features[k]), COVER_PX));
-    for method in [Method::Points, Method::Dense] {
+    for method in [Method::Points, Method::Dense, Method::Published] {
         let measurer = set.measurer(&taught, "two-left").with_method(method);
         let m = set.measure_covered(&measurer, "moved", &covers);
         assert!(m.verdict == Verdict::NotMeasurable && m.camera_from_vehicle.is_none(), "{method:?}: {}", m.detail);

@@ -11,7 +11,7 @@
 
 mod common;
 
-use common::{CameraFromVehicle, Set, data, detector, over_sigma, pose, rms};
+use common::{CameraFromVehicle, Set, data, detector, over_sigma, rms};
 use datum::capture::{Devices, Plan, RecordError, SETS, record};
 use datum::fringe::Axis;
 use datum::hal::{Camera, Clock, Error, LightBars, Pool, Presence, Projector};
@@ -21,7 +21,8 @@ use datum::sim::{
     self, Body, Build, Cover, Cue, Deviation, Dirt, Fault, PAINTS, Paint, Random, Scene, Script, Setup, Station, Visit,
     When,
 };
-use datum::{Capture, Point3, Pose, VehicleFile, frame};
+use datum::study::error::error;
+use datum::{Capture, Point3, VehicleFile};
 use nalgebra::{Vector3, Vector6};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -331,14 +332,6 @@ fn measured(measurer: &Measurer, capture: &Capture) -> Measurement {
     measure(measurer, capture, &mut |_| {}).expect("readable").0
 }
 
-/// Error of a measured pose: x, y, z (mm, of the features' centroid) and rotation vector (rad), vehicle axes.
-fn error(m: &Measurement, truth: &CameraFromVehicle) -> Option<Vector6<f64>> {
-    let motion: Pose<frame::Vehicle, frame::Vehicle> = truth.inverse() * pose(m)?;
-    let at = Point3::new(Vector3::from(m.covariance_at_mm?));
-    let (t, r) = ((motion * at) - at, motion.r.scaled_axis());
-    Some(Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z))
-}
-
 #[test]
 fn a_vehicle_that_rocks_is_not_measured() {
     let setup = Arc::new(Setup::new(0.25, 8));
@@ -386,23 +379,11 @@ fn a_recording_does_not_hide_a_lost_image() {
     assert!(e.contains("allowed: the next"), "{e}");
 }
 
-/// Whether a pose is off by more than 0.5 mm at the centroid, 0.15° in yaw, or twice its stated U at a target.
-fn is_wrong(m: &Measurement, truth: &CameraFromVehicle, error: &Option<Vector6<f64>>) -> bool {
-    let (Some(e), Some(measured), Some(u)) = (error, pose(m), &m.uncertainty_k2) else { return false };
-    let motion: Pose<frame::Vehicle, frame::Vehicle> = truth.inverse() * measured;
-    // as sim::features names them
-    let at = |name: &str| match name {
-        "front-radar" => [900.0, 0.0, 500.0],
-        "windscreen-camera" => [-600.0, 0.0, 1300.0],
-        "rear-axle" => [-2640.0, 0.0, 340.0],
-        other => panic!("no such target: {other}"),
-    };
-    let off = |name: &str| {
-        let p = Point3::new(Vector3::from(at(name)));
-        ((motion * p) - p).norm()
-    };
-    let beyond = u.targets.iter().any(|t| off(&t.name) > 2.0 * t.mm);
-    beyond || e.fixed_rows::<3>(0).norm() > 0.5 || e[5].abs().to_degrees() > 0.15
+/// Whether a pose is a wrong one: all simulated models have the same targets.
+fn is_wrong(m: &Measurement, truth: &CameraFromVehicle) -> bool {
+    let scene = Scene::new(suv().0, suv().1, &suv().2);
+    let targets = sim::features(&scene, &small()).expect("in view").targets;
+    datum::study::error::is_wrong(m, truth, &targets)
 }
 
 /// What comes of every fault: a device's error, a refusal, or a pose that is right all the same.
@@ -449,7 +430,7 @@ fn no_fault_makes_a_wrong_pose_ok() {
             Ok(capture) => {
                 let m = measured(&measurer, &capture);
                 let off = error(&m, &truth);
-                let is_wrong = m.verdict == Verdict::Ok && is_wrong(&m, &truth, &off);
+                let is_wrong = m.verdict == Verdict::Ok && is_wrong(&m, &truth);
                 let mm = off.map_or("-".into(), |e| format!("{:.3} mm", e.fixed_rows::<3>(0).norm()));
                 println!("{name:40} {} {mm} {} {}", m.verdict.name(), if is_wrong { "WRONG" } else { "" }, m.detail);
                 if is_wrong {
@@ -500,7 +481,7 @@ fn vehicle(setup: &Arc<Setup>, repeat: bool, k: u64) -> Row {
             ok = m.verdict == Verdict::Ok;
             off = error(&m, &scene.camera_from_vehicle);
             over = off.map(|e| over_sigma(&e, &m));
-            wrong = is_wrong(&m, &scene.camera_from_vehicle, &off);
+            wrong = is_wrong(&m, &scene.camera_from_vehicle);
             format!("{} {}", m.verdict.name(), m.detail)
         }
     };

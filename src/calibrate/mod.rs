@@ -31,6 +31,7 @@ pub use homography::Homography;
 pub use keep::{NotKept, check_replaceable, keep, keep_camera};
 pub use phase::{Lit, NotLit, decode, mean};
 pub use points::read_points;
+pub(crate) use propagate::changed;
 pub use propagate::{PointJacobian, Sensitivity, independent_errors};
 pub use scale::scale_sigma;
 pub use solve::{MIN_VIEWS, Solution, Terms, Unsolved, View, ViewReport, solve};

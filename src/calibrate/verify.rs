@@ -70,6 +70,8 @@ pub struct Verification {
     /// The published test: error of the way from a frame on the board's left half to one on its right half, along the
     /// axes of the left one, mm.
     pub frames_error_mm: Option<[f64; 3]>,
+    /// The same of the turn from the one to the other, degrees about these axes.
+    pub frames_error_deg: Option<[f64; 3]>,
     /// What was allowed.
     pub limits: VerifyLimits,
     /// All of it in a sentence.
@@ -108,6 +110,7 @@ pub fn verify(
     let epipolar_px =
         (!residuals.is_empty()).then(|| (residuals.iter().map(|r| r * r).sum::<f64>() / residuals.len() as f64).sqrt());
     let scale_error_percent = 100.0 * (whole.scale - 1.0);
+    let frames = frames(board, &measured);
     let mut out = Verification {
         ok: false,
         points: few.points,
@@ -117,7 +120,8 @@ pub fn verify(
         flatness_mm: whole.flatness_mm,
         epipolar_px,
         reprojection_rms_px: reprojection(rig, board, &whole, camera, projector),
-        frames_error_mm: frames(board, &measured).map(Into::into),
+        frames_error_mm: frames.map(|f| f.0.into()),
+        frames_error_deg: frames.map(|f| f.1.map(f64::to_degrees).into()),
         limits,
         detail: String::new(),
         board: whole,
@@ -149,8 +153,8 @@ fn reprojection(rig: &Rig, board: &Board, fit: &BoardFit, camera: &[Seen], proje
     [a, b, both].map(|v| (!v.is_empty()).then(|| (v.iter().sum::<f64>() / v.len() as f64).sqrt()))
 }
 
-/// From the left half's frame to the right half's: measured less true, along the left one's axes, mm.
-fn frames(board: &Board, measured: &[(usize, Point3<frame::Camera>)]) -> Option<Vector3<f64>> {
+/// From the left half's frame to the right half's: measured less true, along the left one's axes, mm, and about them, rad.
+fn frames(board: &Board, measured: &[(usize, Point3<frame::Camera>)]) -> Option<(Vector3<f64>, Vector3<f64>)> {
     let nominal = board.points();
     let half = |right: bool| -> Vec<_> {
         let of_half = |k: usize| (2 * (k % board.columns) >= board.columns) == right;
@@ -160,7 +164,7 @@ fn frames(board: &Board, measured: &[(usize, Point3<frame::Camera>)]) -> Option<
     let [a, b] = [fit(&nominal, &left)?, fit(&nominal, &right)?].map(|f| f.camera_from_board);
     let middle = right.iter().map(|p| nominal[p.0]).sum::<Vector2<f64>>() / right.len() as f64;
     let at = Point3::new(middle.push(0.0));
-    Some(a.r.inverse() * (b * at - a * at))
+    Some((a.r.inverse() * (b * at - a * at), (a.r.inverse() * b.r).scaled_axis()))
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]

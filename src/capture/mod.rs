@@ -7,7 +7,7 @@ mod order;
 mod record;
 pub(crate) mod shoot;
 
-pub use record::{Plan, RecordError, record, record_while, write};
+pub use record::{Plan, RecordError, record, record_while, take, write};
 pub use shoot::{Described, Devices, Light, SETS, ShootError, Shooting, Shots, pictures};
 
 pub use order::check_order;

@@ -69,15 +69,29 @@ pub fn record_while(
     folder: &Path,
     go_on: &mut dyn FnMut() -> bool,
 ) -> Result<Capture, RecordError> {
+    let (shots, mut capture) = take_while(devices, plan, go_on)?;
+    capture.folder = folder.into();
+    write(&shots, &capture, devices.camera.sensor().bits)?;
+    Ok(capture)
+}
+
+/// As [`record`], without writing anything: the images, and their description, whose folder is not named.
+pub fn take(devices: &mut Devices<'_>, plan: &Plan) -> Result<(Shots, Capture), RecordError> {
+    take_while(devices, plan, &mut || true)
+}
+
+fn take_while(
+    devices: &mut Devices<'_>,
+    plan: &Plan,
+    go_on: &mut dyn FnMut() -> bool,
+) -> Result<(Shots, Capture), RecordError> {
     let taken = taken(devices, plan, go_on);
     // what went wrong first is told; a light that cannot be turned off would go wrong here, too
     let dark = devices.bars.set([0.0; 2]).map_err(ShootError::Lights).map(|_| ());
     let dark = dark.and(devices.projector.show(None).map_err(ShootError::Projector));
-    let (shots, mut capture) = taken?;
+    let taken = taken?;
     dark?;
-    capture.folder = folder.into();
-    write(&shots, &capture, devices.camera.sensor().bits)?;
-    Ok(capture)
+    Ok(taken)
 }
 
 fn taken(
@@ -128,7 +142,7 @@ pub fn write(shots: &Shots, capture: &Capture, bits: u8) -> Result<(), RecordErr
     let folder = &capture.folder;
     let file_error = |source| document::Error::Write { file: folder.clone(), source };
     std::fs::create_dir_all(folder).map_err(|e| super::Error::Document(file_error(e)))?;
-    png(&folder.join("red.png"), &shots.red, bits)?;
+    png(&folder.join(shoot::RED), &shots.red, bits)?;
     let n = shots.fringes.len();
     let images: Vec<_> = std::iter::once(&shots.ambient).chain(&shots.fringes).chain(&shots.repeat).collect();
     images.par_iter().enumerate().try_for_each(|(k, image)| png(&folder.join(shoot::file(k, n)), image, bits))?;

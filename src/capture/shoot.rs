@@ -8,7 +8,7 @@ use crate::document;
 use crate::fringe::{self, Axis, PatternSet};
 use crate::hal::{self, Buffer, Pool, Sensor};
 use crate::image::Image;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -250,6 +250,17 @@ pub struct Shots {
     pub repeat: Option<Arc<Buffer>>,
 }
 
+impl Shots {
+    /// The image that a capture's description names `name`.
+    pub fn named(&self, name: &Path) -> Option<&Image<u16>> {
+        if name == Path::new(RED) {
+            return Some(&self.red);
+        }
+        let further = std::iter::once(&self.ambient).chain(&self.fringes).chain(&self.repeat);
+        further.enumerate().find(|(k, _)| file(*k, self.fringes.len()) == name).map(|(_, image)| &***image)
+    }
+}
+
 /// What a capture's description says beside its images.
 #[derive(Clone, Debug)]
 pub struct Described<'a> {
@@ -270,6 +281,9 @@ pub struct Described<'a> {
     /// Date and time of the first exposure, RFC 3339.
     pub taken_at: String,
 }
+
+/// The red image's file.
+pub(super) const RED: &str = "red.png";
 
 /// The file of the `k`-th image after the red one.
 pub(super) fn file(k: usize, fringes: usize) -> PathBuf {
@@ -309,7 +323,7 @@ impl Described<'_> {
                 serial: Some(sensor.serial.clone()),
             },
             images: Images {
-                red: Some("red.png".into()),
+                red: Some(RED.into()),
                 ambient: Some(file(0, fringes)),
                 repeat: self.repeat.then(|| file(fringes + 1, fringes)),
                 red_gain_dn_per_e: gain(self.red),

@@ -36,8 +36,6 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
-    let there = a.method != Method::Published;
-    anyhow::ensure!(there, "--method {}: not available yet, allowed: points, dense", name(a.method));
     let calibration = Calibration::read(&a.calibration)?;
     let vehicle = VehicleFile::read(&a.vehicle)?;
     let shared = Shared { detector: Detector::named(&a.detector)?, ..Shared::default() };
@@ -142,10 +140,6 @@ impl Clock {
         *field = Some(field.unwrap_or(0.0) + ms);
         t.total = Some((now - self.started).as_secs_f64() * 1e3);
     }
-}
-
-fn name(method: Method) -> String {
-    clap::ValueEnum::to_possible_value(&method).map_or_else(String::new, |v| v.get_name().into())
 }
 
 /// An unreadable capture outweighs a refused one.

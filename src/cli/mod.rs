@@ -15,6 +15,7 @@ mod release;
 mod run;
 mod safe;
 mod simulate;
+mod study;
 mod teach;
 
 use anyhow::Context;
@@ -56,6 +57,8 @@ enum Command {
     Simulate(simulate::Arguments),
     /// Writes labelled images to train a detector with: drawn at random, or from captures
     Dataset(dataset::Arguments),
+    /// Experiments that show how well it measures, beside published tables
+    Study(study::Arguments),
     /// The journal: lists and exports records, measures kept captures again
     Records(Box<records::Arguments>),
 }
@@ -90,6 +93,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
         Command::Registers(a) => registers::run(&a),
         Command::Simulate(a) => simulate::run(&a),
         Command::Dataset(a) => dataset::run(&a),
+        Command::Study(a) => study::run(&a),
         Command::Records(a) => records::run(&a),
     }
 }

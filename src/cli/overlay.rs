@@ -1,8 +1,8 @@
 //! The red image with what a measurement saw drawn in: regions, contours by their residual, features.
-//! In: a capture and its result. Out: one RGB PNG per capture.
+//! In: a red image and what came of it. Out: a picture in colour; one RGB PNG per capture.
 
 use crate::Capture;
-use crate::image::{Image, Window, write_png_rgb};
+use crate::image::{Image, write_png_rgb};
 use crate::measure::{Drawing, Measurement};
 use anyhow::Context;
 use std::path::Path;
@@ -15,26 +15,47 @@ const RED_AT_MM: f64 = 0.15;
 pub(super) fn write(folder: &Path, capture: &Capture, m: &Measurement, drawing: &Drawing) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
     let red = capture.load(capture.red()?)?;
-    let scale = 255.0 / capture.camera.white_level();
-    let grey = |v: &u16| [(f64::from(*v) * scale).min(255.0) as u8; 3];
-    let mut picture = Image { width: red.width, height: red.height, pixels: red.pixels.iter().map(grey).collect() };
-    for region in &drawing.regions {
-        frame(&mut picture, region);
+    let picture = picture(&red, capture.camera.white_level(), m, drawing, 1);
+    write_png_rgb(&folder.join(format!("{}.png", m.capture)), &picture)?;
+    Ok(())
+}
+
+/// The red image, of which `white` is the level of white, with every `shrink` pixels along each side made one.
+pub(super) fn picture(
+    red: &Image<u16>,
+    white: f64,
+    m: &Measurement,
+    drawing: &Drawing,
+    shrink: usize,
+) -> Image<[u8; 3]> {
+    let (width, height) = (red.width / shrink, red.height / shrink);
+    let scale = 255.0 / white / (shrink * shrink) as f64;
+    let grey = |x: usize, y: usize| {
+        let rows = (y * shrink..(y + 1) * shrink).flat_map(|y| &red.row(y)[x * shrink..(x + 1) * shrink]);
+        [(rows.map(|v| f64::from(*v)).sum::<f64>() * scale).min(255.0) as u8; 3]
+    };
+    let pixels = (0..height).flat_map(|y| (0..width).map(move |x| grey(x, y))).collect();
+    let mut picture = Image { width, height, pixels };
+    let small = |c: f64| (c + 0.5) / shrink as f64 - 0.5;
+    for w in &drawing.regions {
+        let last = |from: usize, size: usize, of: usize| ((from + size - 1) / shrink).min(of - 1);
+        let (right, bottom) = (last(w.x, w.width, width), last(w.y, w.height, height));
+        frame(&mut picture, (w.x / shrink, w.y / shrink), (right, bottom));
     }
     for (p, off) in &drawing.contours {
         let share = (off.abs() / RED_AT_MM).min(1.0);
-        dot(&mut picture, p.x, p.y, [(255.0 * share) as u8, (255.0 * (1.0 - share)) as u8, 0]);
+        dot(&mut picture, small(p.x), small(p.y), [(255.0 * share) as u8, (255.0 * (1.0 - share)) as u8, 0]);
     }
     for pixel in m.features.iter().filter_map(|f| f.pixel) {
+        let [x, y] = pixel.map(small);
         for k in -9i32..=9 {
             if k.abs() > 2 {
-                dot(&mut picture, pixel[0] + f64::from(k), pixel[1], FEATURE);
-                dot(&mut picture, pixel[0], pixel[1] + f64::from(k), FEATURE);
+                dot(&mut picture, x + f64::from(k), y, FEATURE);
+                dot(&mut picture, x, y + f64::from(k), FEATURE);
             }
         }
     }
-    write_png_rgb(&folder.join(format!("{}.png", m.capture)), &picture)?;
-    Ok(())
+    picture
 }
 
 fn dot(picture: &mut Image<[u8; 3]>, x: f64, y: f64, colour: [u8; 3]) {
@@ -44,13 +65,13 @@ fn dot(picture: &mut Image<[u8; 3]>, x: f64, y: f64, colour: [u8; 3]) {
     }
 }
 
-fn frame(picture: &mut Image<[u8; 3]>, w: &Window) {
-    for x in w.x..w.x + w.width {
-        picture.row_mut(w.y)[x] = REGION;
-        picture.row_mut(w.y + w.height - 1)[x] = REGION;
+fn frame(picture: &mut Image<[u8; 3]>, (left, top): (usize, usize), (right, bottom): (usize, usize)) {
+    for x in left..=right {
+        picture.row_mut(top)[x] = REGION;
+        picture.row_mut(bottom)[x] = REGION;
     }
-    for y in w.y..w.y + w.height {
-        picture.row_mut(y)[w.x] = REGION;
-        picture.row_mut(y)[w.x + w.width - 1] = REGION;
+    for y in top..=bottom {
+        picture.row_mut(y)[left] = REGION;
+        picture.row_mut(y)[right] = REGION;
     }
 }

@@ -3,7 +3,9 @@
 
 mod png;
 
-pub use png::{MAX_SIDE, PngError, PngHeader, read_png, read_png_header, write_png, write_png_16, write_png_rgb};
+pub use png::{
+    MAX_SIDE, PngError, PngHeader, png_rgb, read_png, read_png_header, write_png, write_png_16, write_png_rgb,
+};
 
 /// A grey image, row by row, `pixels[y * width + x]`; pixel centres at integers, y down.
 #[derive(Clone, Debug, PartialEq)]

@@ -114,24 +114,34 @@ pub fn write_png_rgb(file: &Path, image: &Image<[u8; 3]>) -> Result<(), PngError
     write(file, (image.width, image.height), ColorType::Rgb, BitDepth::Eight, image.pixels.as_flattened())
 }
 
-fn write(
-    file: &Path,
+/// An 8-bit colour PNG's bytes; a pixel is red, green, blue. Panics where a side is larger than a PNG may have.
+pub fn png_rgb(image: &Image<[u8; 3]>) -> Vec<u8> {
+    let mut out = Vec::new();
+    let size = (image.width, image.height);
+    encode(&mut out, size, ColorType::Rgb, BitDepth::Eight, image.pixels.as_flattened()).expect("memory takes all");
+    out
+}
+
+fn write(file: &Path, size: (usize, usize), colour: ColorType, depth: BitDepth, bytes: &[u8]) -> Result<(), PngError> {
+    let out = File::create(file).map_err(|source| PngError::Io { file: file.into(), source })?;
+    encode(&mut BufWriter::new(out), size, colour, depth, bytes)
+        .map_err(|source| PngError::Write { file: file.into(), source })
+}
+
+fn encode(
+    out: &mut dyn io::Write,
     (width, height): (usize, usize),
     colour: ColorType,
     depth: BitDepth,
     bytes: &[u8],
-) -> Result<(), PngError> {
-    let out = File::create(file).map_err(|source| PngError::Io { file: file.into(), source })?;
+) -> Result<(), png::EncodingError> {
     // a side beyond u32 saturates, and the encoder then refuses the number of bytes
     let side = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-    let mut encoder = png::Encoder::new(BufWriter::new(out), side(width), side(height));
+    let mut encoder = png::Encoder::new(out, side(width), side(height));
     encoder.set_color(colour);
     encoder.set_depth(depth);
     encoder.set_compression(Compression::Fast); // noise hardly compresses: 5 % smaller for 10 times the work
-    encoder
-        .write_header()
-        .and_then(|mut w| w.write_image_data(bytes).and_then(|()| w.finish()))
-        .map_err(|source| PngError::Write { file: file.into(), source })
+    encoder.write_header().and_then(|mut w| w.write_image_data(bytes).and_then(|()| w.finish()))
 }
 
 #[cfg(test)]

@@ -174,14 +174,10 @@ impl<'a> Cycle<'a> {
             axis: Axis::Column,
             cells: Vec::new(),
         };
-        let outcome = run.pose(decoded.as_mut(), &mut depths, ended);
-        let health = run.health();
-        let outcome = match &health {
-            Some(health) => outcome.and_then(|judged| run.with_health(judged, health)),
-            None => outcome,
+        let mut measurement = match self.measurer.method {
+            Method::Points | Method::Dense => run.measurement(decoded.as_mut(), &mut depths, ended),
+            Method::Published => run.published(decoded.as_mut(), &mut depths, ended),
         };
-        let mut measurement = run.report(outcome);
-        measurement.calibration_health = health;
         ended(Stage::Pose);
         measurement.station = self.measurer.station();
         measurement.warning = self.warning.clone();
@@ -211,13 +207,25 @@ impl<'c> Run<'c, '_> {
         Refused { code, detail: detail.into(), distance_deviation_mm: None }
     }
 
-    /// Regions, depth, features, pose: each pass finds the features with the pose of the one before.
-    fn pose(
+    fn measurement(
         &mut self,
         decoded: Result<&mut Decoded, &mut fringe::Error>,
         depths: &mut Vec<Depth>,
         ended: &mut dyn FnMut(Stage),
-    ) -> Result<Judged, Refused> {
+    ) -> Measurement {
+        let outcome = self.usable().and_then(|()| self.pose(decoded, depths, ended));
+        let health = self.health();
+        let outcome = match &health {
+            Some(health) => outcome.and_then(|judged| self.with_health(judged, health)),
+            None => outcome,
+        };
+        let mut measurement = self.report(outcome);
+        measurement.calibration_health = health;
+        measurement
+    }
+
+    /// Refuses images that nothing should be measured in.
+    pub(super) fn usable(&self) -> Result<(), Refused> {
         let c = self.cycle;
         if c.moved {
             let detail = "The repeated fringe image differs from the first by more than noise.";
@@ -232,6 +240,17 @@ impl<'c> Run<'c, '_> {
             );
             return Err(Self::refuse(Code::TooDark, detail));
         }
+        Ok(())
+    }
+
+    /// Regions, depth, features, pose: each pass finds the features with the pose of the one before.
+    fn pose(
+        &mut self,
+        decoded: Result<&mut Decoded, &mut fringe::Error>,
+        depths: &mut Vec<Depth>,
+        ended: &mut dyn FnMut(Stage),
+    ) -> Result<Judged, Refused> {
+        let c = self.cycle;
         let (m, templates) = (c.measurer, &c.measurer.templates);
         self.located = c.regions.iter().map(|r| Err(r.err().unwrap_or(Code::TooFewFeatures))).collect();
         let found = c.regions.iter().filter(|r| r.is_ok()).count();

@@ -18,7 +18,7 @@ type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
 
 /// What shifts a feature's edges from body to body and paint to paint beyond noise, 1 sigma, mm, along the panel:
 /// reflections in the hem. Black against white paint in one pose: 0.01–0.06 mm.
-const EDGE_BIAS_MM: f64 = 0.027;
+pub(crate) const EDGE_BIAS_MM: f64 = 0.027;
 /// How much more, times the share of the contour that is not seen: with 30 % hidden it is stated five and a half times
 /// as large. An assumption: how much a hidden stretch spoils what is beside it was not measured.
 const HIDDEN_BIAS: f64 = 15.0;
@@ -29,11 +29,11 @@ const HEM_BIAS: f64 = 0.7;
 const SAME_PAINT_MM: f64 = 0.03;
 const PAINT_DISTANCE: f64 = 1.5;
 /// The same across the panel: fringe harmonics, defocus; and never nothing.
-pub(super) const NORMAL_BIAS_MM: f64 = 0.005;
+pub(crate) const NORMAL_BIAS_MM: f64 = 0.005;
 /// Paint and light shift all features together along the panel, 1 sigma, mm: black against white in one pose 0.03.
-const PAINT_SHIFT_MM: f64 = 0.01;
+pub(crate) const PAINT_SHIFT_MM: f64 = 0.01;
 /// And more when the vehicle turns against the bars, mm per degree away from the taught attitude.
-const LIGHT_SHIFT_MM_PER_DEG: f64 = 0.005;
+pub(crate) const LIGHT_SHIFT_MM_PER_DEG: f64 = 0.005;
 /// Residuals farther off than this many sigmas belong to another body.
 pub(super) const SIGMAS: f64 = 9.0;
 /// The same for distances, which what shifts all features together leaves alone.

@@ -71,7 +71,7 @@ const ELLIPSE_COVERAGE: f64 = 0.7;
 const ELLIPSE_SIZE_MM: f64 = 1.0;
 /// The pose's turn about the panel's normal while a feature is located, 1 sigma, rad: an arch's top slides along by
 /// its radius times that, and must not be what the turn is then taken from.
-const ARCH_TURN_RAD: f64 = 1e-3;
+pub(crate) const ARCH_TURN_RAD: f64 = 1e-3;
 /// An arch is looked at this far to both sides of its top, mm.
 pub(crate) const ARCH_WINDOW_MM: f64 = 80.0;
 

@@ -21,6 +21,7 @@ mod locate;
 mod moved;
 mod panel;
 mod patches;
+mod published;
 mod regions;
 mod report;
 mod result;
@@ -28,21 +29,24 @@ mod teach;
 mod workspace;
 
 pub use cycle::{Cycle, Stage};
+pub(crate) use judge::{EDGE_BIAS_MM, LIGHT_SHIFT_MM_PER_DEG, NORMAL_BIAS_MM, PAINT_SHIFT_MM};
+pub(crate) use locate::ARCH_TURN_RAD;
 pub use result::{
     Euler, FeatureResult, Measurement, Method, PoseMatrix, Station, TargetUncertainty, Timing, Uncertainty, Verdict,
     Xyz, json, table,
 };
-pub use teach::{Taught, TeachError, teach};
+pub use teach::{Taught, TeachError, teach, teach_from};
 pub use workspace::Workspace;
 
 use crate::calibrate::{Calibration, ParameterCovariance, independent_errors};
 use crate::capture::{self, Capture};
 use crate::detect::Detector;
 use crate::geometry::{Polynomial, Pose, frame};
-use crate::image::Window;
+use crate::image::{Image, Window};
 use crate::optics::{Pixel, Rig};
 use crate::vehicle::{Feature, PanelMask, Template, VehicleFile};
 use body::Panel;
+use std::path::Path;
 use std::sync::Arc;
 
 /// The design's working distance, mm: for what must be sized in pixels before depth is known.
@@ -154,12 +158,7 @@ impl Measurer {
 
     /// Begins a vehicle with its red image, whose size is the calibration's, and the one without bars and projector, if
     /// there is one. `capture` says what the images are.
-    pub fn begin<'a>(
-        &'a self,
-        capture: &'a Capture,
-        red: &crate::Image<u16>,
-        ambient: Option<&crate::Image<u16>>,
-    ) -> Cycle<'a> {
+    pub fn begin<'a>(&'a self, capture: &'a Capture, red: &Image<u16>, ambient: Option<&Image<u16>>) -> Cycle<'a> {
         Cycle::new(self, capture, red, ambient)
     }
 
@@ -182,15 +181,28 @@ pub fn measure(
     capture: &Capture,
     ended: &mut dyn FnMut(Stage),
 ) -> Result<(Measurement, Drawing), capture::Error> {
-    let red = capture.load(capture.red()?)?;
-    let ambient = capture.images.ambient.as_ref().map(|file| capture.load(file)).transpose()?;
+    measure_from(measurer, capture, &|file| capture.load(file), ended)
+}
+
+/// Gives the image that a capture's description names.
+pub type Load<'a> = dyn Fn(&Path) -> Result<Image<u16>, capture::Error> + 'a;
+
+/// As [`measure`], with images from elsewhere than the capture's folder.
+pub fn measure_from(
+    measurer: &Measurer,
+    capture: &Capture,
+    load: &Load<'_>,
+    ended: &mut dyn FnMut(Stage),
+) -> Result<(Measurement, Drawing), capture::Error> {
+    let red = load(capture.red()?)?;
+    let ambient = capture.images.ambient.as_ref().map(|file| load(file)).transpose()?;
     ended(Stage::Read);
     let mut cycle = measurer.begin(capture, &red, ambient.as_ref());
     ended(Stage::Detect);
     let mut first = None;
     for (k, set) in capture.fringes.iter().enumerate() {
         for (step, path) in (0u32..).zip(&set.images) {
-            let image = capture.load(path)?;
+            let image = load(path)?;
             cycle.add_fringe(k, step, &image).expect("sizes, sets and steps were checked when the capture was read");
             if capture.images.repeat.is_some() && first.is_none() {
                 first = Some(image);
@@ -199,7 +211,7 @@ pub fn measure(
     }
     ended(Stage::Read);
     if let (Some(repeat), Some(first)) = (&capture.images.repeat, &first) {
-        cycle.add_repeat(first, &capture.load(repeat)?);
+        cycle.add_repeat(first, &load(repeat)?);
     }
     Ok(cycle.finish(ended))
 }

@@ -10,7 +10,7 @@ use super::edges::{self, EdgeRay};
 use super::locate::{ARCH_WINDOW_MM, PanelEdge, on_panel};
 use super::panel::panel_mask;
 use super::regions::{search_factor, search_field};
-use super::{Measurement, Measurer, TYPICAL_DISTANCE_MM, measure};
+use super::{Load, Measurement, Measurer, TYPICAL_DISTANCE_MM, measure_from};
 use crate::calibrate::Calibration;
 use crate::capture::{self, Capture, Fringes};
 use crate::code::Code;
@@ -89,6 +89,7 @@ pub enum TeachError {
 }
 
 /// A taught model.
+#[derive(Clone)]
 pub struct Taught {
     /// The model; its features name their templates.
     pub model: VehicleFile,
@@ -122,14 +123,25 @@ pub fn teach(
     features: &VehicleFile,
     stem: &str,
 ) -> Result<Taught, TeachError> {
+    teach_from(capture, &|file| capture.load(file), calibration, features, stem)
+}
+
+/// As [`teach`], with images from elsewhere than the capture's folder.
+pub fn teach_from(
+    capture: &Capture,
+    load: &Load<'_>,
+    calibration: &Calibration,
+    features: &VehicleFile,
+    stem: &str,
+) -> Result<Taught, TeachError> {
     let camera = &calibration.rig.camera;
-    let red = capture.load(capture.red()?)?;
-    let ambient = capture.images.ambient.as_ref().map(|a| capture.load(a)).transpose()?;
+    let red = load(capture.red()?)?;
+    let ambient = capture.images.ambient.as_ref().map(|a| load(a)).transpose()?;
     let raw = ambient::without(&red, ambient.as_ref(), &capture.camera);
     let mut fringes = Fringes::new(capture, Window::whole(red.width, red.height), None);
     for (k, set) in capture.fringes.iter().enumerate() {
         for (step, path) in (0u32..).zip(&set.images) {
-            fringes.add(k, step, &capture.load(path)?)?;
+            fringes.add(k, step, &load(path)?)?;
         }
     }
     let Decoded { mut coordinates, noise, .. } = Decoded::new(&fringes, capture)?;
@@ -211,7 +223,7 @@ pub fn teach(
         }
     }
     let measurer = Measurer::with_templates(calibration.clone(), model.clone(), templates.clone());
-    let (check, _) = measure(&measurer, capture, &mut |_| ())?;
+    let (check, _) = measure_from(&measurer, capture, load, &mut |_| ())?;
     if check.camera_from_vehicle.is_none() {
         return Err(TeachError::SelfCheck { detail: check.detail });
     }

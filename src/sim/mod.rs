@@ -5,6 +5,7 @@
 //!
 //! [`Body`] + [`Paint`] + pose = [`Scene`]; seen by a [`Setup`] it becomes [`Layers`], which give any number of images.
 
+pub mod board;
 mod body;
 mod fault;
 mod files;

@@ -33,6 +33,12 @@ impl Random {
         low + (high - low) * self.uniform()
     }
 
+    /// Normal, mean 0, standard deviation 1 (Box and Muller, 1958).
+    pub fn normal(&mut self) -> f64 {
+        let (u, v) = (1.0 - self.uniform(), self.uniform());
+        (-2.0 * u.ln()).sqrt() * (std::f64::consts::TAU * v).cos()
+    }
+
     /// One of `0..n`.
     pub fn below(&mut self, n: usize) -> usize {
         ((self.uniform() * n as f64) as usize).min(n - 1)
@@ -116,5 +122,7 @@ mod tests {
         let mut stream = Random::new(7, &[3]);
         let (mean, std) = mean_std(&(0..10_000).map(|_| stream.uniform()).collect::<Vec<_>>());
         assert!((mean - 0.5).abs() < 0.01 && (std - 12f64.sqrt().recip()).abs() < 0.005, "{mean} {std}");
+        let (mean, std) = mean_std(&(0..10_000).map(|_| stream.normal()).collect::<Vec<_>>());
+        assert!(mean.abs() < 0.03 && (std - 1.0).abs() < 0.02, "{mean} {std}");
     }
 }

@@ -4,13 +4,12 @@
 
 use datum::detect::{DEFAULT, Detector};
 use datum::measure::{Drawing, Measurement, Measurer, Taught, measure, teach};
-use datum::{Calibration, Capture, Point3, Pose, VehicleFile, frame};
-use nalgebra::{Matrix6, Rotation3, Vector3, Vector6};
+pub(crate) use datum::study::error::{CameraFromVehicle, pose};
+use datum::{Calibration, Capture, Pose, VehicleFile, frame};
+use nalgebra::{Vector3, Vector6};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
-
-pub(crate) type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
 
 /// A feature farther than this from a point of the truth is not that point, mm: files give five decimals.
 const SAME_POINT_MM: f64 = 1e-3;
@@ -131,16 +130,12 @@ impl Truth {
 
     /// The motion inverse(true)·measured in vehicle axes, by which a measured pose is off. None: no pose.
     pub(crate) fn motion(&self, m: &Measurement) -> Option<Pose<frame::Vehicle, frame::Vehicle>> {
-        Some(self.camera_from_vehicle.inverse() * pose(m)?)
+        datum::study::error::motion(m, &self.camera_from_vehicle)
     }
 
-    /// Error of a measured pose: x, y, z (mm) by which that motion moves the point that the covariance is of, and its
-    /// rotation vector (rad). None: no pose.
+    /// Error of a measured pose, see there. None: no pose.
     pub(crate) fn error(&self, m: &Measurement) -> Option<Vector6<f64>> {
-        let motion = self.motion(m)?;
-        let at = Point3::new(Vector3::from(m.covariance_at_mm?));
-        let (t, r) = ((motion * at) - at, motion.r.scaled_axis());
-        Some(Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z))
+        datum::study::error::error(m, &self.camera_from_vehicle)
     }
 
     /// Where a feature of the model is in the image, raw px.
@@ -162,18 +157,9 @@ impl Truth {
     }
 }
 
-/// The measured pose.
-pub(crate) fn pose(m: &Measurement) -> Option<CameraFromVehicle> {
-    let p = m.camera_from_vehicle?;
-    let r = nalgebra::Matrix3::from_fn(|i, j| p.rotation[i][j]);
-    Some(Pose::new(Rotation3::from_matrix_unchecked(r), p.translation_mm.into()))
-}
-
 /// Error over stated sigma, axis by axis.
 pub(crate) fn over_sigma(error: &Vector6<f64>, m: &Measurement) -> Vector6<f64> {
-    let covariance = m.covariance.expect("a pose has one");
-    let covariance = Matrix6::from_fn(|i, j| covariance[i][j]);
-    error.component_div(&covariance.diagonal().map(f64::sqrt))
+    datum::study::error::over_sigma(error, m).expect("a pose has a covariance")
 }
 
 pub(crate) fn rms(values: impl IntoIterator<Item = f64>) -> f64 {
