@@ -58,7 +58,7 @@ class Guest:
                    "-device", "i6300esb", "-action", "watchdog=reset",
                    "-netdev", f"user,id=net,restrict=on,hostfwd=tcp:127.0.0.1:{self.port}-:502",
                    "-device", "virtio-net-pci,netdev=net,romfile=",
-                   "-serial", f"unix:{console},server=on,wait=on"]
+                   "-serial", f"unix:{console},server=on,wait=off"]
         if self.stick:
             command += ["-drive", f"if=none,file={self.stick},format=raw,readonly=on,id=stick", "-device", "virtio-blk-pci,drive=stick"]
         self.process = subprocess.Popen(command)
@@ -268,7 +268,7 @@ def stick(out, *bundles):
 
 
 def mount_stick(guest):
-    guest.ok("modprobe virtio_blk; mount -t squashfs -o ro /dev/vda /mnt")
+    guest.ok("modprobe virtio_blk; sleep 1; mount -t squashfs -o ro /dev/vda /mnt")
 
 
 def install(guest, bundle):
@@ -324,13 +324,11 @@ def measures(guest, seconds=900):
 
 
 def trial_bad(out, _):
-    guest = first_start(out, "bad", stick(out, "fails.raucb", "hangs.raucb", "foreign.raucb", "torn.raucb", "wrong.raucb"))
+    guest = first_start(out, "bad", stick(out, "fails.raucb", "hangs.raucb", "foreign.raucb", "torn.raucb", "next.raucb"))
     wait_good(guest)
     keep_some(guest)
     config = guest.ok("sha256sum /data/datum/station.toml")
-    for bundle in ["foreign.raucb", "torn.raucb", "wrong.raucb"]:
-        if bundle == "wrong.raucb":
-            continue
+    for bundle in ["foreign.raucb", "torn.raucb"]:
         mount_stick(guest)
         status, said, _ = install(guest, bundle)
         must(status != 0, f"{bundle} was installed")
@@ -338,10 +336,12 @@ def trial_bad(out, _):
         guest.ok("umount /mnt")
         must(guest.slot() == "A", "still in A")
     measures(guest)
-    for bundle, why in [("fails.raucb", "does not pass its self-test"), ("hangs.raucb", "hangs at boot"), ("wrong.raucb", "measures otherwise")]:
-        if not os.path.getsize(f"{out}/{bundle}"):
-            continue
-        mount_stick(guest)
+    for bundle, why in [("fails.raucb", "does not pass its self-test"), ("hangs.raucb", "hangs at boot"),
+                        ("next.raucb", "a reference capture lies 6 µm off")]:
+        if bundle == "next.raucb":  # the model that was kept with it reports another point: the pose is not reproduced
+            models = "/data/datum/records/captures/*/vehicle.toml"
+            guest.ok(f"grep -q '^reference_mm = .0.0, 0.0, 0.0.$' {models} && sed -i 's/^reference_mm = .*/reference_mm = [0.0, 0.0, 0.006]/' {models} && sync")
+        guest.run("mountpoint -q /mnt || mount -t squashfs -o ro /dev/vda /mnt")
         status, said, took = install(guest, bundle)
         must(status == 0, f"{bundle}: {said}")
         begun = time.monotonic()
@@ -349,7 +349,7 @@ def trial_bad(out, _):
         guest.text = ""
         tried = 0
         while True:  # starts of B, until A runs again
-            found = guest.until(r"datum: slot (\w)", 1800)
+            found = guest.until(r"datum: starting slot (\w)", 1800)
             if found[1] == "A":
                 break
             tried += 1
