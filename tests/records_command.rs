@@ -196,16 +196,15 @@ fn a_kept_capture_measured_again_by_the_same_program_differs_by_nothing() {
     let (status, table, _) = room.run(&["replay", "--vehicle", "vehicle/suv-a.toml"]);
     assert!(status == Some(1) && table.contains("ok → out-of-limits 605"), "{table}");
 
-    // with the same verdict, but of a point 6 µm higher, the pose is another
-    let kept = room.0.join("records/captures/0000000002/vehicle.toml");
+    // with the same verdict, but by a calibration whose baseline is 0.02 mm longer, the pose is another
+    let kept = room.0.join("records/captures/0000000002/calibration.toml");
     let as_kept = fs::read_to_string(&kept).expect("kept with it");
-    let higher = as_kept.replace("reference_mm = [0.0, 0.0, 0.0]", "reference_mm = [0.0, 0.0, 0.006]");
-    assert_ne!(as_kept, higher);
-    fs::write(&kept, higher).expect("writable");
+    let longer = as_kept.replace("translation_mm = [213.000087", "translation_mm = [213.02");
+    assert_ne!(as_kept, longer);
+    fs::write(&kept, longer).expect("writable");
     assert_eq!(room.run(&["replay"]).0, Some(0));
     let (status, said, _) = room.run(&["replay", "--reproduce"]);
     assert!(status == Some(1) && said.ends_with("0 of 1 reproduced within 5 µm and 0.001°\n"), "{said}");
-    fs::write(&kept, as_kept).expect("writable");
 
     fs::remove_file(room.0.join("records/captures/0000000002/vehicle.toml")).expect("kept with it");
     let (status, _, said) = room.run(&["replay"]);
