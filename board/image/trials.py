@@ -103,7 +103,7 @@ class Guest:
 
     def shell(self, seconds=600):
         self.until(r"root@[^\n]*# ", seconds)
-        self.console.sendall(b"stty -echo cols 500; export PAGER=cat SYSTEMD_COLORS=0; PS1=; dmesg -n 1\n")
+        self.console.sendall(b"stty -echo cols 500; bind 'set enable-bracketed-paste off'; export PAGER=cat SYSTEMD_COLORS=0; PS1=; dmesg -n 1\n")
         self.run("true", 120)
 
     def run(self, command, seconds=300):
@@ -116,7 +116,7 @@ class Guest:
             must(time.monotonic() < end, f"{command!r} takes more than {seconds} s: {self.text[-2000:]!r}")
             self.read()
         self.text = self.text[found.end():]
-        return found[1].replace("\r", ""), int(found[2])
+        return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]|\r", "", found[1]), int(found[2])
 
     def ok(self, command, seconds=300):
         said, status = self.run(command, seconds)
