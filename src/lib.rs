@@ -6,6 +6,7 @@
 //!
 //! Lengths are millimetres, angles radians (degrees in files and reports), pixels have integer centres.
 
+pub mod backup;
 pub mod calibrate;
 pub mod capture;
 pub mod cli;

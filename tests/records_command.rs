@@ -177,6 +177,11 @@ fn a_kept_capture_measured_again_by_the_same_program_differs_by_nothing() {
     let all: serde_json::Value = serde_json::from_str(&text).expect("JSON");
     assert_eq!((all[0]["same_verdict"].as_bool(), all[0]["record"].as_u64()), (Some(true), Some(id)));
 
+    let (status, said, _) = room.run(&["replay", "--reproduce", "--kept", "3"]);
+    assert!(status == Some(0) && said.ends_with("1 of 1 reproduced within 5 µm and 0.001°\n"), "{said}");
+    let (status, said, _) = room.run(&["replay", "--reproduce", "--kept", "0"]);
+    assert!(status == Some(0) && said.ends_with("0 of 0 reproduced within 5 µm and 0.001°\n"), "{said}");
+
     // by a model whose limits it exceeds the verdict is another, and that is an exit status of 1
     let model = fs::read_to_string(station("vehicle/suv-a.toml")).expect("there");
     let stricter = room.0.join("vehicle");
@@ -190,6 +195,16 @@ fn a_kept_capture_measured_again_by_the_same_program_differs_by_nothing() {
     fs::write(stricter.join("suv-a.toml"), strict).expect("writable");
     let (status, table, _) = room.run(&["replay", "--vehicle", "vehicle/suv-a.toml"]);
     assert!(status == Some(1) && table.contains("ok → out-of-limits 605"), "{table}");
+
+    // with the same verdict, but by a calibration whose baseline is 0.02 mm longer, the pose is another
+    let kept = room.0.join("records/captures/0000000002/calibration.toml");
+    let as_kept = fs::read_to_string(&kept).expect("kept with it");
+    let longer = as_kept.replace("translation_mm = [213.000087", "translation_mm = [213.02");
+    assert_ne!(as_kept, longer);
+    fs::write(&kept, longer).expect("writable");
+    assert_eq!(room.run(&["replay"]).0, Some(0));
+    let (status, said, _) = room.run(&["replay", "--reproduce"]);
+    assert!(status == Some(1) && said.ends_with("0 of 1 reproduced within 5 µm and 0.001°\n"), "{said}");
 
     fs::remove_file(room.0.join("records/captures/0000000002/vehicle.toml")).expect("kept with it");
     let (status, _, said) = room.run(&["replay"]);

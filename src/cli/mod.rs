@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand. In: arguments. Out: text on standard output, errors and progress
 //! on standard error, an exit status.
 
+mod backup;
 mod calibrate;
 mod capture;
 mod check;
@@ -12,6 +13,8 @@ mod patterns;
 mod records;
 mod registers;
 mod release;
+mod reset;
+mod restore;
 mod run;
 mod safe;
 mod simulate;
@@ -59,6 +62,12 @@ enum Command {
     Dataset(dataset::Arguments),
     /// Experiments that show how well it measures, beside published tables
     Study(study::Arguments),
+    /// Writes everything that makes this station this station into one file
+    Backup(backup::Arguments),
+    /// Makes a station from such a file
+    Restore(restore::Arguments),
+    /// Back to the factory's state; calibration and hours of light stay
+    Reset(reset::Arguments),
     /// The journal: lists and exports records, measures kept captures again
     Records(Box<records::Arguments>),
 }
@@ -94,6 +103,9 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Status> {
         Command::Simulate(a) => simulate::run(&a),
         Command::Dataset(a) => dataset::run(&a),
         Command::Study(a) => study::run(&a),
+        Command::Backup(a) => backup::run(&a),
+        Command::Restore(a) => restore::run(&a),
+        Command::Reset(a) => reset::run(&a),
         Command::Records(a) => records::run(&a),
     }
 }

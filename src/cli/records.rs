@@ -4,8 +4,8 @@ use super::{Status, print};
 use crate::detect::{self, Detector};
 use crate::document;
 use crate::records::{
-    CAPTURES, Event, Filter, Record, Verdict, With, capture_name, csv, json, json_lines, parse_time, replay,
-    replay_json, replay_table, select, table,
+    CAPTURES, Event, Filter, REPRODUCED, Record, Verdict, With, capture_name, csv, json, json_lines, parse_time,
+    replay, replay_json, replay_table, select, table,
 };
 use crate::{Calibration, VehicleFile};
 use std::fs;
@@ -95,6 +95,12 @@ struct Replay {
     /// Uses the calibration for captures that are binned by a common factor
     #[arg(long)]
     scale_calibration: bool,
+    /// Of all these the last so many that are still kept
+    #[arg(long, value_name = "N")]
+    kept: Option<usize>,
+    /// Asks that each is reproduced: the same verdict, and the pose within 5 µm and 0.001°; else exit status 1
+    #[arg(long)]
+    reproduce: bool,
     /// Prints a JSON array, one object per capture
     #[arg(long)]
     json: bool,
@@ -194,7 +200,10 @@ fn replay_all(a: &Replay) -> anyhow::Result<Status> {
     };
     let records = chosen(&a.chosen)?;
     let (mut all, mut unreadable) = (Vec::new(), 0);
-    for record in &records {
+    for record in records.iter().rev() {
+        if a.kept.is_some_and(|n| all.len() + unreadable >= n) {
+            break;
+        }
         match replay(&a.chosen.folder, record, &with) {
             Ok(replayed) => all.extend(replayed),
             Err(e) => {
@@ -203,15 +212,22 @@ fn replay_all(a: &Replay) -> anyhow::Result<Status> {
             }
         }
     }
+    all.reverse(); // the newest were wanted first
     let changed = all.iter().filter(|r| !r.same_verdict()).count();
+    let differing = all.iter().filter(|r| a.reproduce && !r.reproduced()).count();
     if a.json {
         print(&replay_json(&all))?;
     } else {
         print(&replay_table(&all))?;
         let n = all.len();
         print(&format!("{n} captures measured again, {changed} with another verdict, {unreadable} not readable\n"))?;
+        if a.reproduce {
+            let (mm, deg) = REPRODUCED;
+            let allowed = format!("{} µm and {deg}°", 1000.0 * mm);
+            print(&format!("{} of {n} reproduced within {allowed}\n", n - differing))?;
+        }
     }
-    Ok(match (unreadable, changed) {
+    Ok(match (unreadable, changed + differing) {
         (0, 0) => Status::Done,
         (0, _) => Status::Refused,
         _ => Status::BadInput,

@@ -60,7 +60,22 @@ pub struct Journal {
 
 /// The folder's lock. Given back by name: a program that another thread is starting shares the file for a moment, and
 /// with it a lock that is merely closed.
-struct Lock(File);
+#[derive(Debug)]
+pub struct Lock(File);
+
+impl Lock {
+    /// Takes it, for as long as the value lives; the folder must exist. `Err(Fault::Held)`: a service runs.
+    pub fn hold(folder: &Path) -> Result<Self, Fault> {
+        let lock = folder.join(LOCK);
+        let fault = |e| Fault::new(&lock, "the journal", e);
+        let file = File::options().write(true).create(true).truncate(false).open(&lock).map_err(fault)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Self(file)),
+            Err(TryLockError::WouldBlock) => Err(Fault::Held { lock }),
+            Err(TryLockError::Error(e)) => Err(fault(e)),
+        }
+    }
+}
 
 impl Drop for Lock {
     fn drop(&mut self) {
@@ -158,20 +173,14 @@ impl Journal {
 impl Open {
     fn recover(folder: &Path) -> Result<(Self, Recovery, Totals), Fault> {
         let fault = |file: &Path, e: io::Error| Fault::new(file, "the journal", e);
-        let lock = folder.join(LOCK);
-        let held = File::options().write(true).create(true).truncate(false).open(&lock).map_err(|e| fault(&lock, e))?;
-        match held.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(Fault::Held { lock }),
-            Err(TryLockError::Error(e)) => return Err(fault(&lock, e)),
-        }
+        let lock = Lock::hold(folder)?;
         let mut sizes = Vec::new();
         let mut newest = None;
         for (first, file) in segments(folder).map_err(|e| fault(folder, e))? {
             sizes.push((first, fs::metadata(&file).map_err(|e| fault(&file, e))?.len()));
             newest = Some((first, file));
         }
-        let mut open = Self { _lock: Lock(held), segments: sizes, file: None, next: 1, frame: Vec::new() };
+        let mut open = Self { _lock: lock, segments: sizes, file: None, next: 1, frame: Vec::new() };
         let (mut recovery, mut totals) = (Recovery::default(), Totals::default());
         if let Some((first, file)) = newest {
             open.next = first.max(1);

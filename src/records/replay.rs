@@ -14,6 +14,9 @@ use std::fmt::Write;
 use std::path::Path;
 use std::sync::Arc;
 
+/// A version of datum reproduces another's pose within so much: mm along each axis, degrees about each.
+pub const REPRODUCED: (f64, f64) = (0.005, 0.001);
+
 /// What is measured by; calibration and model where they are not those kept with the capture.
 #[derive(Clone, Default)]
 pub struct With {
@@ -58,6 +61,14 @@ impl Replayed {
     /// Verdict and code are as they were.
     pub fn same_verdict(&self) -> bool {
         self.before_verdict() == (self.now.verdict.name(), self.now.code.map_or(0, |c| c.number().into()))
+    }
+
+    /// Verdict and code are as they were, and each coordinate within [`REPRODUCED`], if there was a pose.
+    pub fn reproduced(&self) -> bool {
+        let within =
+            |d: [f64; 6]| d.iter().enumerate().all(|(k, d)| d.abs() <= if k < 3 { REPRODUCED.0 } else { REPRODUCED.1 });
+        let had_none = numbers(&self.before).iter().any(Option::is_none);
+        self.same_verdict() && self.difference().map_or(had_none && self.now.euler_deg.is_none(), within)
     }
 
     fn before_verdict(&self) -> (&str, u64) {
@@ -154,6 +165,28 @@ mod tests {
         let fields: Vec<_> = line.lines().nth(1).expect("one capture").split_whitespace().collect();
         assert_eq!(fields, ["3", "V", "0.1.0", "ok", "-1", "+0", "+12", "+0", "-1", "+2"]);
         assert!(r.same_verdict());
+    }
+
+    #[test]
+    fn a_pose_is_reproduced_within_5_um_and_a_thousandth_of_a_degree() {
+        let before = |x: f64, yaw: f64| {
+            replayed(json!({"verdict": "ok", "code": 0, "reference_mm": {"x": x, "y": 2.0, "z": 3.0},
+                "euler_deg": {"roll": 0.0, "pitch": 0.0, "yaw": yaw}}))
+        };
+        assert!(before(1.0049, 179.9999).reproduced());
+        assert!(!before(1.0051, 179.9999).reproduced());
+        assert!(!before(1.0, 179.9994).reproduced());
+        let refused = |now: Measurement| Replayed {
+            now,
+            ..replayed(json!({"verdict": "not-measurable", "code": 401, "reference_mm": null, "euler_deg": null}))
+        };
+        let none = |code| {
+            let (verdict, method) = (Verdict::NotMeasurable, Method::Points);
+            Measurement::without_pose("a".into(), verdict, Some(code), String::new(), method)
+        };
+        assert!(refused(none(Code::NotFound)).reproduced());
+        assert!(!refused(none(Code::Ambient)).reproduced(), "refused for another reason");
+        assert!(!replayed(Value::Null).reproduced());
     }
 
     #[test]
