@@ -5,12 +5,12 @@
 
 mod common;
 
-use common::pose;
 use datum::capture::{Devices, FringeSet, Plan, SETS, pictures, record};
 use datum::hal::{Camera, Pool, Projector};
 use datum::image::write_png;
 use datum::measure::{Measurement, Measurer, Verdict, measure, teach};
 use datum::sim::{self, Body, Deviation, Paint, Scene, Script, Setup, Station};
+use datum::study::error::pose;
 use datum::{Capture, Image, Point3, Pose, frame};
 use nalgebra::{Vector3, Vector6};
 use std::path::{Path, PathBuf};

@@ -116,12 +116,13 @@ fn the_calibrations_covariance_becomes_the_poses() {
     let errors = [(0, 0.05), (11, 0.04), (19, 4e-5), (21, 0.04)];
     let exact = with(&[], None);
     let added = stated(&with(&errors, None)) - stated(&exact);
-    let pose = common::pose(&exact).expect("ok has one");
+    let pose = datum::study::error::pose(&exact).expect("ok has one");
     let at = Point3::<frame::Vehicle>::new(exact.covariance_at_mm.expect("with the pose").into());
     let mut seen = Matrix6::zeros();
     for error in errors {
         let [plus, minus] = [1.0, -1.0].map(|sign| {
-            let motion = pose.inverse() * common::pose(&with(&[], Some((error.0, sign * error.1)))).expect("measured");
+            let motion = pose.inverse()
+                * datum::study::error::pose(&with(&[], Some((error.0, sign * error.1)))).expect("measured");
             let (t, r) = ((motion * at) - at, motion.r.scaled_axis());
             Vector6::new(t.x, t.y, t.z, r.x, r.y, r.z)
         });

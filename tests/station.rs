@@ -7,8 +7,9 @@
 
 mod common;
 
-use common::{Set, Truth, data, over_sigma, pose, rms};
+use common::{Set, Truth, data, over_sigma, rms};
 use datum::measure::{Measurement, Measurer, Method, TargetUncertainty, Verdict};
+use datum::study::error::pose;
 use datum::vehicle::Target;
 use datum::{Point3, VehicleFile, frame};
 use nalgebra::{Vector3, Vector6};

@@ -4,7 +4,7 @@
 
 use datum::detect::{DEFAULT, Detector};
 use datum::measure::{Drawing, Measurement, Measurer, Taught, measure, teach};
-pub(crate) use datum::study::error::{CameraFromVehicle, pose};
+pub(crate) use datum::study::error::CameraFromVehicle;
 use datum::{Calibration, Capture, Pose, VehicleFile, frame};
 use nalgebra::{Vector3, Vector6};
 use serde_json::Value;
