@@ -90,7 +90,8 @@ fn eight_boards_give_the_rig_to_its_own_sigmas() {
         boards.iter().all(|b| (number(&b["scale"]) - 1.0).abs() < 5e-4 && number(&b["rms_mm"]) < 0.1),
         "{boards:?}"
     );
-    assert!(json["std"]["camera.fx"] == sigma(0) && json["views"][0]["used"] == true);
+    // but for the last digit, which JSON's reader may round otherwise
+    assert!((number(&json["std"]["camera.fx"]) / sigma(0) - 1.0).abs() < 1e-12 && json["views"][0]["used"] == true);
 }
 
 #[test]

