@@ -264,3 +264,22 @@ fn a_factory_reset_keeps_calibration_and_hours_of_light_and_nothing_else() {
     let stays = ["calibration.toml", "notes.txt", "records/light.toml"];
     assert_eq!(left, stays.map(|name| (name.to_owned(), before[name].clone())));
 }
+
+#[test]
+fn a_factory_reset_leaves_what_is_none_of_ours_in_the_folder_of_the_records() {
+    let room = Room::new("shared");
+    a_station(&room, "a");
+    room.write("a/station.toml", format!("{CONFIG}[records]\nfolder = \".\"\n"));
+    for (name, content) in [
+        ("journal-00000000000000000001", "records"),
+        ("captures/0000000002/red.png", "of a vehicle"),
+        ("captures/mine/red.png", "put there by a person"),
+        ("notes.txt", "not ours"),
+    ] {
+        room.write(&format!("a/{name}"), content);
+    }
+    let (status, said, errors) = room.run(&["reset", "--config", "a/station.toml", "--yes"]);
+    assert_eq!(status, Some(0), "{said}{errors}");
+    let left: Vec<String> = room.files("a").into_keys().filter(|name| name != "lock").collect();
+    assert_eq!(left, ["calibration.toml", "captures/mine/red.png", "notes.txt"]);
+}

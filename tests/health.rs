@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{Set, data};
+use common::{Set, TAUGHT, data};
 use datum::calibrate::{Health, MAX_INDEX, ParameterCovariance};
 use datum::fringe::{
     Axis, DepthMap, Limits, NoiseLaw, PatternSet, PhaseMap, Rays, Stack, decode, epipolar_cells, unwrap,
@@ -17,7 +17,6 @@ use datum::{Calibration, Capture, Point3, Rig, VehicleFile, frame};
 use nalgebra::{Rotation3, Vector3};
 use rayon::prelude::*;
 
-const TAUGHT: &str = "white-yawtt_05";
 const ROWS: &str = "rows-white-rnd_07";
 
 /// The camera turned about one of its own axes.

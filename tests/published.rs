@@ -6,7 +6,7 @@
 
 mod common;
 
-use common::{Set, data, here, rms};
+use common::{MEASURABLE, Set, TAUGHT, data, here, rms};
 use datum::measure::{Measurement, Method, Verdict};
 use datum::{Code, VehicleFile};
 use nalgebra::Vector6;
@@ -82,19 +82,7 @@ fn it_is_off_by_about_what_was_published_and_ours_by_far_less() {
 fn so_it_is_on_the_independent_captures() {
     let Some(folder) = data("station") else { return };
     let set = Set::open(folder);
-    const TAUGHT: &str = "white-yawtt_05";
     let features = VehicleFile::read(&set.folder.join(TAUGHT).join("features.toml")).expect("features");
-    let names = [
-        "white-yawtt_05",
-        "white-yawtt_07",
-        "white-tx_00",
-        "white-tx_20",
-        "white-ty_20",
-        "white-rnd_00",
-        "white-rnd_03",
-        "rows-white-rnd_07",
-        "black-yawtt_05",
-        "black-rnd_01",
-    ];
+    let names: Vec<&str> = std::iter::once(TAUGHT).chain(MEASURABLE).collect();
     check(&rows(&set, TAUGHT, &features, &names), 20.0);
 }

@@ -7,7 +7,7 @@
 
 mod common;
 
-use common::{Set, Truth, data, over_sigma, rms};
+use common::{MEASURABLE, Set, TAUGHT, Truth, data, over_sigma, rms};
 use datum::measure::{Measurement, Measurer, Method, TargetUncertainty, Verdict};
 use datum::study::error::pose;
 use datum::vehicle::Target;
@@ -28,19 +28,6 @@ struct Bounds {
 const POINTS: Bounds = Bounds { rotation_deg: 0.03, translation_mm: 0.10, over_sigma: 0.5..=2.0 };
 const DENSE: Bounds = Bounds { rotation_deg: 0.015, translation_mm: 0.08, over_sigma: 0.7..=1.5 };
 
-/// To teach from, in station/; every other capture of these is measured with that one model.
-const TAUGHT: &str = "white-yawtt_05";
-const MEASURABLE: [&str; 9] = [
-    "white-yawtt_07",
-    "white-tx_00",
-    "white-tx_20",
-    "white-ty_20",
-    "white-rnd_00",
-    "white-rnd_03",
-    "rows-white-rnd_07",
-    "black-yawtt_05",
-    "black-rnd_01",
-];
 /// A corner comes near the image's border, where refusing is no fault; and the vehicle stands 182 mm off, where the
 /// verdict is out-of-limits beside a good pose.
 const OPTIONAL: [&str; 2] = ["white-yawtt_10", "black-yawtt_10"];

@@ -4,12 +4,10 @@
 use super::belongings::belongings;
 use super::restore::ASIDE;
 use crate::document::Error;
+use crate::records::of_vehicles;
 use crate::station::StationFile;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-/// The records' file of the hours of light, and their lock.
-const STAY: [&str; 2] = ["light.toml", "lock"];
 
 /// What goes and what stays.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -27,11 +25,8 @@ pub fn reset(config: &StationFile) -> Result<Reset, Error> {
     let files = belongings(config)?;
     goes.extend(files.iter().map(|f| config.beside(f)).filter(|f| f.exists() && Some(f) != stays.as_ref()));
     let inside = |folder: &Path| fs::read_dir(folder).into_iter().flatten().flatten();
-    goes.extend(
-        inside(&config.beside(&config.records.folder))
-            .filter(|e| !STAY.iter().any(|name| e.file_name() == *name))
-            .map(|e| e.path()),
-    );
+    // by what they are, not by where: a records folder may hold more than records
+    goes.extend(of_vehicles(&config.beside(&config.records.folder)));
     let beside = config.beside(Path::new("."));
     let aside = inside(&beside).filter(|e| e.file_name().as_encoded_bytes().starts_with(ASIDE.as_bytes()));
     goes.extend(aside.map(|e| config.beside(Path::new(&e.file_name()))));

@@ -71,7 +71,7 @@ impl Fringes {
         let mut stacks = spare.stacks.into_iter();
         for own in &mut new.stacks {
             if let Some(mut reused) = stacks.next() {
-                reused.turn_to(*own.set(), new.white_level).expect("the set of an accumulator");
+                reused.turn_to(*own.set(), new.white_level).expect("the set of a stack");
                 *own = reused;
             }
             own.thin(every);

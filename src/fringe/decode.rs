@@ -144,6 +144,8 @@ impl Phase {
 pub(super) struct Fits {
     set: PatternSet,
     white_level: u16,
+    /// Sine and cosine of each step's shift.
+    shifts: Vec<(f64, f64)>,
     by_mask: Vec<OnceLock<Option<Box<Fit>>>>,
 }
 
@@ -163,16 +165,14 @@ struct Sine {
 
 impl Fits {
     pub(super) fn new(set: PatternSet, white_level: u16) -> Self {
-        Self { set, white_level, by_mask: (0..1 << set.steps).map(|_| OnceLock::new()).collect() }
+        let shifts = (0..set.steps).map(|step| set.shift(step).sin_cos()).collect();
+        Self { set, white_level, shifts, by_mask: (0..1 << set.steps).map(|_| OnceLock::new()).collect() }
     }
 
     fn fit(&self, saturated: u16) -> Option<&Fit> {
         let make = || {
-            let w = |k| {
-                let (sin, cos) = self.set.shift(k).sin_cos();
-                Vector3::new(1.0, cos, -sin)
-            };
-            let used: Vec<_> = (0..self.set.steps).filter(|k| saturated >> k & 1 == 0).map(w).collect();
+            let used = (0..).zip(&self.shifts).filter(|(step, _)| saturated >> step & 1 == 0);
+            let used: Vec<_> = used.map(|(_, (sin, cos))| Vector3::new(1.0, *cos, -sin)).collect();
             if used.len() < 3 {
                 return None;
             }
@@ -195,14 +195,13 @@ impl Fits {
     /// ΣI, ΣI·cos θ, ΣI·sin θ, ΣI² of the steps that are not saturated, θ the step's shift; and by bit which are.
     fn sums(&self, samples: impl Iterator<Item = u16>) -> ([f64; 4], u16) {
         let (mut sums, mut saturated) = ([0.0; 4], 0);
-        for (step, sample) in (0..).zip(samples) {
+        for ((step, sample), (sin, cos)) in (0..).zip(samples).zip(&self.shifts) {
             if sample >= self.white_level {
                 saturated |= 1 << step;
                 continue;
             }
-            let (sin, cos) = self.set.shift(step).sin_cos();
             let i = f64::from(sample);
-            sums.iter_mut().zip([1.0, cos, sin, i]).for_each(|(sum, weight)| *sum += i * weight);
+            sums.iter_mut().zip([1.0, *cos, *sin, i]).for_each(|(sum, weight)| *sum += i * weight);
         }
         (sums, saturated)
     }
@@ -221,11 +220,8 @@ impl Fits {
         let mut steps = [[0f32; LANES]; MAX_STEPS];
         let [mut level, mut x, mut y] = [[0f32; LANES]; 3];
         let n = self.set.steps as usize;
-        let angles: [(f32, f32); MAX_STEPS] = std::array::from_fn(|step| {
-            let (sin, cos) = self.set.shift(step as u32).sin_cos();
-            (sin as f32, cos as f32)
-        });
-        for ((from, to), (sin, cos)) in samples.clone().zip(&mut steps).zip(angles) {
+        let shifts = self.shifts.iter().map(|(sin, cos)| (*sin as f32, *cos as f32));
+        for ((from, to), (sin, cos)) in samples.clone().zip(&mut steps).zip(shifts.clone()) {
             from.iter().zip(to.iter_mut()).for_each(|(from, to)| *to = f32::from(*from));
             from.iter().zip(&mut over).for_each(|(from, over)| *over |= *from >= self.white_level);
             for i in 0..LANES {
@@ -243,7 +239,7 @@ impl Fits {
         let [mut residual, mut spread] = [[0f32; LANES]; 2];
         let (gain, variance0, black) = (noise.gain as f32, noise.variance0 as f32, noise.black as f32);
         let variance = |level: f32| gain * (level - black).max(0.0) + variance0;
-        for (samples, (sin, cos)) in steps[..n].iter().zip(angles) {
+        for (samples, (sin, cos)) in steps.iter().zip(shifts) {
             for i in 0..LANES {
                 let fitted = level[i] + x[i] * cos - y[i] * sin;
                 let (off, slope) = (samples[i] - fitted, y[i] * cos + x[i] * sin);
@@ -264,26 +260,17 @@ impl Fits {
         let freedom = n as f64 - 3.0;
         let (harmonics, implausible) = (limits.harmonics as f32, implausible_chi2(freedom) as f32);
         let implausible = if freedom > 0.0 { implausible } else { f32::INFINITY };
-        let mut state = [0u32; LANES]; // of `STATES`
-        for i in 0..LANES {
-            let (square, noise) = (modulation[i] * modulation[i], one_sample[i]);
-            let least = least * least;
-            let weak = (square < least) | (square < sigmas * sigmas * noise) | (spread[i] * sigmas * sigmas > 1.0);
-            let no_sine = residual[i] > (noise + harmonics * harmonics * square) * implausible;
-            state[i] = if weak { 2 } else { u32::from(no_sine) };
-            phase[i] = if weak | no_sine { f32::NAN } else { phase[i] };
-            spread[i] = if weak | no_sine { f32::NAN } else { spread[i] };
-        }
-        const STATES: [State; 4] = [State::Valid, State::NotSine, State::Weak, State::Weak];
         for (i, out) in out.iter_mut().enumerate() {
-            *out = Phase {
-                phase: phase[i],
-                variance: spread[i],
-                level: level[i],
-                modulation: modulation[i],
-                saturated: false,
-                state: STATES[state[i] as usize & 3],
+            let (square, noise) = (modulation[i] * modulation[i], one_sample[i]);
+            let weak = modulation[i] < least || square < sigmas * sigmas * noise || spread[i] * sigmas * sigmas > 1.0;
+            let no_sine = residual[i] > (noise + harmonics * harmonics * square) * implausible;
+            let state = match (weak, no_sine) {
+                (true, _) => State::Weak,
+                (false, true) => State::NotSine,
+                (false, false) => State::Valid,
             };
+            let (phase, variance) = if state == State::Valid { (phase[i], spread[i]) } else { (f32::NAN, f32::NAN) };
+            *out = Phase { phase, variance, level: level[i], modulation: modulation[i], saturated: false, state };
         }
         if over.contains(&true) {
             for (i, out) in out.iter_mut().enumerate().filter(|(i, _)| over[*i]) {
@@ -347,8 +334,8 @@ mod tests {
         PatternSet::new(Axis::Column, 1, steps).expect("legal")
     }
 
-    fn one(sums: &Stack) -> PhaseMap {
-        decode(sums, &NOISE, &Limits::default()).expect("complete").remove(0)
+    fn one(stack: &Stack) -> PhaseMap {
+        decode(stack, &NOISE, &Limits::default()).expect("complete").remove(0)
     }
 
     /// Phase errors of the valid pixels over their stated sigma: (how many, mean, standard deviation).

@@ -98,9 +98,10 @@ pub fn residual_samples(stack: &Stack, limit: usize) -> Vec<NoiseSample> {
     let (set, windows) = (stack.set(), stack.complete().unwrap_or_default());
     let fits = Fits::new(*set, stack.white_level());
     let stride = (windows.iter().map(Planes::len).sum::<usize>() / limit.max(1)).max(1);
-    let pixels = windows.iter().flat_map(|planes| (0..planes.len()).map(move |i| planes.part(set, i..i + 1)));
+    let places = |planes: &Planes| (0..planes.len()).step_by(stride);
+    let pixels = windows.iter().flat_map(|planes| places(planes).map(move |i| planes.part(set, i..i + 1)));
     let sample = |(level, variance)| NoiseSample { level, variance };
-    pixels.step_by(stride).filter_map(|pixel| fits.residual(pixel.map(|step| step[0]))).map(sample).collect()
+    pixels.filter_map(|pixel| fits.residual(pixel.map(|step| step[0]))).map(sample).collect()
 }
 
 /// Samples from second differences of one fringe image along the fringes, at most about `limit`: what a set of three

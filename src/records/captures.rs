@@ -32,6 +32,19 @@ pub fn capture_name(record: u64) -> String {
     format!("{record:010}")
 }
 
+/// Everything in `folder` that vehicles left: the journal's segments, the captures. Not the lock, the hours of light, or
+/// what is none of ours.
+pub fn of_vehicles(folder: &Path) -> Vec<PathBuf> {
+    let mut found: Vec<PathBuf> = super::reader::segments(folder).into_iter().flatten().map(|(_, file)| file).collect();
+    let numbered = |path: &PathBuf| {
+        let name = path.file_name().and_then(|n| n.to_str()).unwrap_or_default();
+        name.len() == capture_name(0).len() && name.bytes().all(|b| b.is_ascii_digit())
+    };
+    let captures = std::fs::read_dir(folder.join(CAPTURES)).into_iter().flatten().flatten();
+    found.extend(captures.map(|e| e.path()).filter(numbered));
+    found
+}
+
 /// Whose images are kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Policy {

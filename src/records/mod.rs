@@ -26,7 +26,7 @@ mod replay;
 mod report;
 mod time;
 
-pub use captures::{CAPTURES, Captures, Policy, Ring, WriteError, capture_name};
+pub use captures::{CAPTURES, Captures, Policy, Ring, WriteError, capture_name, of_vehicles};
 pub use disk::{Space, space};
 pub use fault::Fault;
 pub use journal::{Journal, Limits, Lock, Recovery};

@@ -19,6 +19,7 @@ mod outcome;
 mod plan;
 mod selftest;
 mod simulated;
+mod still;
 mod verify;
 
 pub use acquire::{Budget, LIMIT};
@@ -36,3 +37,4 @@ pub use jobs::{Entry, Job, Jobs, Unusable, load, load_all};
 pub use machine::{Finished, Machine, NoStore, Note, Pace, Parts, Store, WriteImages};
 pub use selftest::{ROWS, stored_pictures};
 pub use simulated::{Simulated, Traffic, World, deviation, missing, outdated, teach_one};
+pub use still::{Next, Still};

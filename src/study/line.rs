@@ -5,51 +5,14 @@
 use super::{Bench, Error};
 use crate::measure::Taught;
 use crate::plc::{Order, Report, State, Trigger};
-use crate::sim::{self, Body, Cue, Deviation, Fault, Paint, Script, Visit, When};
-use crate::station::{Finished, Hours, Job, Jobs, Machine, NoStore, Pace, Parts, Simulated, StationFile, World};
-use crate::{Pose, frame};
+use crate::sim::{self, Body, Cue, Deviation, Fault, Paint, Script, When};
+use crate::station::{Finished, Hours, Job, Jobs, Machine, Next, NoStore, Pace, Parts, Simulated, StationFile, Still};
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::{self, Receiver, Sender};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
 
 /// A station that is not ready within so many turns, of 0.1 s, is not ready.
 const TURNS: usize = 40;
-
-/// What the next order brings.
-type Next = Arc<Mutex<Option<(Body, Paint, Deviation)>>>;
-
-/// The world before the station: one vehicle at a time, which is put there.
-struct Still {
-    station: sim::Station,
-    next: Next,
-}
-
-impl World for Still {
-    fn bring(&mut self, _: u16) {
-        let next = self.next.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if let Some((body, paint, deviation)) = next {
-            let stops = self.station.now();
-            self.station.bring(Visit { body, paint, deviation, stops, leaves: Duration::MAX });
-        }
-    }
-
-    fn send_one(&mut self, _: &[u16]) -> Option<u16> {
-        None
-    }
-
-    fn leave(&mut self) {
-        self.station.clear();
-    }
-
-    fn truth(&self) -> Option<Pose<frame::Camera, frame::Vehicle>> {
-        self.station.truth()
-    }
-
-    fn name(&self) -> String {
-        String::new()
-    }
-}
 
 /// A station at work.
 pub(super) struct Line {
@@ -70,7 +33,7 @@ impl Line {
         let station = sim::Station::new(Arc::clone(&bench.setup), seed, Vec::new(), Script(vec![brighter]));
         let simulated = Simulated { station, setup: Arc::clone(&bench.setup) };
         let next = Next::default();
-        let world = Still { station: simulated.station.clone(), next: Arc::clone(&next) };
+        let world = Still { station: simulated.station.clone(), next: next.clone() };
         let mut jobs = Jobs::default();
         let vehicle = taught.model.clone();
         let job = Job {
@@ -123,7 +86,7 @@ impl Line {
             self.turn();
             self.state == State::Ready
         });
-        *self.next.lock().unwrap_or_else(PoisonError::into_inner) = Some((body.clone(), paint, *deviation));
+        self.next.put(body.clone(), paint, *deviation);
         self.ordered += 1;
         let _ = self.finished.try_iter().count(); // of what it did by itself
         let trigger = Trigger { id: self.ordered, job: 1, ..Trigger::default() };

@@ -14,6 +14,19 @@ use std::sync::{Arc, LazyLock};
 /// A feature farther than this from a point of the truth is not that point, mm: files give five decimals.
 const SAME_POINT_MM: f64 = 1e-3;
 
+/// To teach from, in station/; every other capture of these is measured with that one model.
+pub(crate) const TAUGHT: &str = "white-yawtt_05";
+pub(crate) const MEASURABLE: [&str; 9] = [
+    "white-yawtt_07",
+    "white-tx_00",
+    "white-tx_20",
+    "white-ty_20",
+    "white-rnd_00",
+    "white-rnd_03",
+    "rows-white-rnd_07",
+    "black-yawtt_05",
+    "black-rnd_01",
+];
 /// A path below tests/data.
 pub(crate) fn here(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(path)

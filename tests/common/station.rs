@@ -1,17 +1,18 @@
 //! A station on simulated devices, driven turn by turn: no thread, no waiting.
 
+use datum::Measurement;
 use datum::measure::Shared;
 use datum::plc::{Order, Outcome, Report, State, Status, Trigger};
-use datum::sim::{self, Body, Build, Deviation, Paint, Random, Script, Setup, Visit};
+use datum::sim::{self, Body, Build, Deviation, Paint, Random, Script, Setup};
 use datum::station::{
-    Finished, Hardware, Machine, NoStore, Pace, Parts, Simulated, StationFile, World, deviation, load_all, teach_one,
+    Finished, Hardware, Machine, Next, NoStore, Pace, Parts, Simulated, StationFile, Still, World, deviation, load_all,
+    teach_one,
 };
-use datum::{Measurement, Point3, Pose, frame};
-use nalgebra::{Matrix3, Rotation3, Vector3};
+use datum::study::error::{self, WRONG_MM, WRONG_YAW_DEG};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::{self, Receiver, Sender};
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 /// How the station is built; at a quarter of its size, unless DATUM_SCALE says otherwise.
@@ -33,35 +34,6 @@ pub(crate) fn jobs() -> &'static Path {
     })
 }
 
-/// The world as a test has it: the vehicle that it put there, and nothing by itself.
-struct Still {
-    station: sim::Station,
-    next: Arc<Mutex<Option<(Paint, Deviation, Build)>>>,
-}
-
-impl World for Still {
-    fn bring(&mut self, job: u16) {
-        let name = sim::names().nth(usize::from(job) - 1).expect("one of the ten");
-        let next = self.next.lock().expect("no panic").take();
-        let (paint, deviation, build) = next.expect("a test says what comes");
-        let body = Body::named(name).expect("listed").built(build);
-        let stops = self.station.now();
-        self.station.bring(Visit { body, paint, deviation, stops, leaves: Duration::MAX });
-    }
-    fn send_one(&mut self, _: &[u16]) -> Option<u16> {
-        None
-    }
-    fn leave(&mut self) {
-        self.station.clear();
-    }
-    fn truth(&self) -> Option<Pose<frame::Camera, frame::Vehicle>> {
-        self.station.truth()
-    }
-    fn name(&self) -> String {
-        String::new()
-    }
-}
-
 /// What is before a station.
 pub(crate) type Before<'a> = &'a dyn Fn(&Simulated) -> Box<dyn World>;
 
@@ -73,7 +45,7 @@ pub(crate) struct Bench {
     pub(crate) stop: Arc<AtomicBool>,
     reports: Receiver<Report>,
     finished: Receiver<Finished>,
-    next: Arc<Mutex<Option<(Paint, Deviation, Build)>>>,
+    next: Next,
     pub(crate) status: Status,
     id: u32,
 }
@@ -108,11 +80,10 @@ impl Bench {
         let (orders, taken) = mpsc::channel();
         let (report, reports) = mpsc::channel();
         let (told, finished) = mpsc::channel();
-        let next = Arc::new(Mutex::new(None));
+        let next = Next::default();
         let stop = Arc::new(AtomicBool::new(false));
         let calibration = simulated.calibration();
-        let still =
-            || -> Box<dyn World> { Box::new(Still { station: simulated.station.clone(), next: Arc::clone(&next) }) };
+        let still = || -> Box<dyn World> { Box::new(Still { station: simulated.station.clone(), next: next.clone() }) };
         let machine = Machine::new(Parts {
             hardware,
             clock: simulated.clock(),
@@ -164,9 +135,10 @@ impl Bench {
         self.turn()
     }
 
-    /// What the next trigger brings.
+    /// What the next trigger brings: a vehicle of job 1.
     pub(crate) fn put(&self, paint: Paint, deviation: Deviation, build: Build) {
-        *self.next.lock().expect("no panic") = Some((paint, deviation, build));
+        let name = sim::names().next().expect("ten");
+        self.next.put(Body::named(name).expect("listed").built(build), paint, deviation);
     }
 
     /// A vehicle of job 1 as it may come, its cycle ordered and ended. `None`: the order was refused.
@@ -195,14 +167,8 @@ impl Cycle {
     /// mm at the features' centroid, degrees about the vertical, and the largest distance at a target over its U (k = 2).
     pub(crate) fn error(&self) -> Option<(f64, f64, f64)> {
         let (m, truth): (&Measurement, _) = (self.finished.measurement.as_ref()?, self.finished.truth?);
-        let p = m.camera_from_vehicle.as_ref()?;
-        let r = Rotation3::from_matrix_unchecked(Matrix3::from_fn(|i, j| p.rotation[i][j]));
-        let measured = Pose::<frame::Camera, frame::Vehicle>::new(r, p.translation_mm.into());
-        let motion: Pose<frame::Vehicle, frame::Vehicle> = truth.inverse() * measured;
-        let off = |at: [f64; 3]| {
-            let at = Point3::new(Vector3::from(at));
-            ((motion * at) - at).norm()
-        };
+        let motion = error::motion(m, &truth)?;
+        let off = |at: [f64; 3]| error::at_target(m, &truth, at).expect("a pose").norm();
         let at = |name: &str| match name {
             "front-radar" => [900.0, 0.0, 500.0],
             "windscreen-camera" => [-600.0, 0.0, 1300.0],
@@ -216,6 +182,7 @@ impl Cycle {
 
     /// A pose that was given out is wrong: by 0.5 mm at the centroid, 0.15° in yaw, or twice its U at a target.
     pub(crate) fn is_wrong(&self) -> bool {
-        self.outcome().pose.is_some() && self.error().is_none_or(|(mm, deg, u)| mm > 0.5 || deg > 0.15 || u > 2.0)
+        self.outcome().pose.is_some()
+            && self.error().is_none_or(|(mm, deg, u)| mm > WRONG_MM || deg > WRONG_YAW_DEG || u > 2.0)
     }
 }
