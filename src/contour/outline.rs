@@ -417,6 +417,26 @@ mod tests {
     }
 
     #[test]
+    fn a_search_that_begins_where_it_last_ended_finds_what_a_first_one_finds() {
+        let (template, mut noise, capture) = (corner(0.5), Noise::new(8), 5.0);
+        let places = Buckets::new(template.iter().map(|t| t.position), 0.25);
+        let measured = measure(&corner(0.43), &TRUTH, true, &mut noise);
+        let mut again = System::new(&template, &places, &measured, true);
+        again.build(&TRUTH, capture).expect("matched");
+        for (x, y, theta) in [(3.4, -2.9, 0.0), (-2.6, 3.1, 0.1), (1.2, -0.8, 0.03)] {
+            let motion = Motion { shift: Vector2::new(x, y), theta };
+            let mut first = System::new(&template, &places, &measured, true);
+            first.build(&motion, capture).expect("matched");
+            again.build(&motion, capture).expect("matched");
+            let pairs = |system: &System| -> Vec<_> {
+                system.pairs.iter().map(|p| (p.measured, p.matched, p.distance)).collect()
+            };
+            assert!(first.pairs.len() > measured.len() / 5, "{} matched", first.pairs.len());
+            assert_eq!(pairs(&again), pairs(&first), "moved to {x} {y} {theta}");
+        }
+    }
+
+    #[test]
     fn a_straight_line_is_refused_and_so_is_too_little() {
         let mut noise = Noise::new(4);
         let line = |spacing| path(spacing, &[[[-40.0, 0.0], [40.0, 0.0]]]);
