@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What the image must show, in qemu-system-aarch64: each trial ends with an error where it does not hold.
 
-    trials.py OUT boot|update|bad|install-cuts|measure-cuts [N]
+    trials.py OUT boot|memory|update|bad|install-cuts|measure-cuts [N]
 
 OUT is the folder of board/image/build for qemu-virt, with the bundles that board/test made. No KVM: everything is emulated,
 so times say nothing about a real board. A power cut is a SIGKILL of qemu: what the guest handed to its card is on it, what it
@@ -281,6 +281,28 @@ def reboot(guest):
     guest.console.sendall(b"sync; systemctl reboot\n")
     guest.begun = time.monotonic()
     guest.shell(900)
+
+
+def trial_memory(out, n):
+    """Memory of datum at the camera's full resolution: VmHWM, the most it ever had resident, until READY and over N vehicles."""
+    guest = Guest(out, new_card(out, "memory"))
+    guest.power_on()
+    guest.shell()
+    set_scale(guest, "1")
+    print(f"READY {guest.ready(3000):.0f} s after power-on, at full resolution")
+    status = "/proc/$(systemctl show -p MainPID --value datum)"
+    peak = lambda: int(guest.ok(f"sed -n 's/^VmHWM: *//p' {status}/status").split()[0]) / 1024
+    until_ready = peak()
+    print(f"until READY, with the models taught: VmHWM {until_ready:.0f} MiB", flush=True)
+    guest.ok(f"echo 5 >{status}/clear_refs")
+    for k in range(n or 3):
+        measures(guest, 3000)
+        print(f"vehicle {k + 1}: VmHWM since READY {peak():.0f} MiB; {guest.ok('systemctl show -p MemoryCurrent -p MemoryPeak datum | xargs')}", flush=True)
+    failed = guest.ok("systemctl --failed --no-legend --plain")
+    must(failed == "", f"failed units: {failed}")
+    measuring = peak()
+    guest.power_off()
+    must(max(until_ready, measuring) <= 250, f"datum had {until_ready:.0f} MiB until READY and {measuring:.0f} MiB since, allowed: 250")
 
 
 def trial_update(out, _):
