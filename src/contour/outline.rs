@@ -423,7 +423,7 @@ mod tests {
         let measured = measure(&corner(0.43), &TRUTH, true, &mut noise);
         let mut again = System::new(&template, &places, &measured, true);
         again.build(&TRUTH, capture).expect("matched");
-        for (x, y, theta) in [(3.4, -2.9, 0.0), (-2.6, 3.1, 0.1), (1.2, -0.8, 0.03)] {
+        for (x, y, theta) in [(3.4, -2.9, 0.0), (-1.2, 1.6, 0.05), (1.2, -0.8, 0.03)] {
             let motion = Motion { shift: Vector2::new(x, y), theta };
             let mut first = System::new(&template, &places, &measured, true);
             first.build(&motion, capture).expect("matched");
@@ -431,7 +431,7 @@ mod tests {
             let pairs = |system: &System| -> Vec<_> {
                 system.pairs.iter().map(|p| (p.measured, p.matched, p.distance)).collect()
             };
-            assert!(first.pairs.len() > measured.len() / 5, "{} matched", first.pairs.len());
+            assert!(first.pairs.len() > measured.len() / 2, "{} matched", first.pairs.len());
             assert_eq!(pairs(&again), pairs(&first), "moved to {x} {y} {theta}");
         }
     }
