@@ -41,17 +41,22 @@ type Sizes = [Option<(usize, usize)>; 2];
 /// What camera and projector see in the captures in `folder`.
 fn views(folder: &Path, board: &Board) -> (Vec<View>, Sizes) {
     let mut sizes = [None; 2];
-    let view = |folder: &PathBuf| {
+    let camera = |folder: &PathBuf| {
         let capture = Capture::open(folder).expect("a capture");
         let camera = seen(&find(&mean(&capture).expect("readable"), board).expect("the board is in view"));
-        let lit = Lit::read(&capture, board, &camera).expect("fringes").projector(board, &camera);
         sizes = [
             Some((capture.camera.width, capture.camera.height)),
             Some((capture.projector.width, capture.projector.height)),
         ];
-        View { name: name(folder), seen: [camera, lit] }
+        (capture, View { name: name(folder), seen: [camera, Vec::new()] })
     };
-    (entries(folder, Path::is_dir).iter().map(view).collect(), sizes)
+    let (captures, mut views): (Vec<_>, Vec<_>) = entries(folder, Path::is_dir).iter().map(camera).unzip();
+    let solution = solve(&board.points(), &views, [sizes[0], None], Terms::Chosen).expect("tilted views");
+    for (capture, View { seen: [camera, lit], .. }) in captures.iter().zip(&mut views) {
+        let fringes = Lit::read(capture, board, camera).expect("fringes");
+        *lit = fringes.projector(board, camera, &solution.devices[0].lens);
+    }
+    (views, sizes)
 }
 
 /// Camera and projector calibrated from the captures in `folder`.
@@ -223,7 +228,7 @@ fn the_published_test_of_two_frames_on_a_board() {
         let sighting = find(&mean(&capture).expect("readable"), &marked).expect("the board is in view");
         for (calibration, rig) in [("true", &truth), ("own", &own)] {
             let camera = seen(&sighting.through(&marked, &rig.camera));
-            let lit = Lit::read(&capture, &marked, &camera).expect("fringes").projector(&marked, &camera);
+            let lit = Lit::read(&capture, &marked, &camera).expect("fringes").projector(&marked, &camera, &rig.camera);
             let got = verify(rig, &marked, &camera, &lit, VerifyLimits::default()).expect("all discs");
             let frames = got.frames_error_mm.expect("two halves");
             eprintln!("{}, {calibration} calibration: {frames:.4?} mm; {}", capture.name(), got.detail);

@@ -1,18 +1,19 @@
 //! Which projector pixel lights a point of a board. In: a capture of the board, where the camera sees its points. Out: the
 //! same points in the projector's picture. Not here: lenses.
 //!
-//! A board is flat, so camera pixels map to projector pixels by one homography, bent a little by both lenses: it is fitted
-//! to the whole board, and what is left of it, affine, robustly about each point; over a window of a square's size ripple
-//! of the fringes and the print's edges average out. After Moreno, Taubin, "Simple, accurate, and robust
-//! projector-camera calibration", 3DIMPVT 2012.
+//! A board is flat, so what a camera without distortion sees of it maps to projector pixels by one homography, bent a little
+//! by the projector's lens: both are fitted to the whole board, and what is left of it, affine, robustly about each point;
+//! over a window of a square's size ripple of the fringes and the print's edges average out. After Moreno, Taubin, "Simple,
+//! accurate, and robust projector-camera calibration", 3DIMPVT 2012, whose homographies are local and of distorted pixels:
+//! over so wide a window a camera's usual distortion bends the map enough to shift its middle by 0.1 px.
 
 use super::adjust::Seen;
 use super::{Board, Homography};
 use crate::capture::{self, Capture, Fringes, coordinates};
 use crate::fringe::{self, Axis, CoordinateMap, Limits, State};
-use crate::geometry::robust;
+use crate::geometry::{Polynomial, robust};
 use crate::image::{Image, Window};
-use crate::optics::Pixel;
+use crate::optics::{Lens, Pixel};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -95,10 +96,11 @@ impl Lit {
         Ok(Self { columns: decode(capture, window, Axis::Column)?, rows })
     }
 
-    /// The projector pixels that light the points `seen` by the camera; points without enough valid fringes about them are
-    /// left out. Without row fringes the projector's row is NaN.
-    pub fn projector(&self, board: &Board, seen: &[Seen]) -> Vec<Seen> {
+    /// The projector pixels that light the points `seen` by a camera of this `lens`; points without enough valid fringes
+    /// about them are left out. Without row fringes the projector's row is NaN.
+    pub fn projector(&self, board: &Board, seen: &[Seen], lens: &Lens) -> Vec<Seen> {
         let radii = radii(board, seen);
+        let straight = |at: &Pixel| lens.undistort(at).unwrap_or_else(|| lens.normalised(at));
         let about = |map: &(dyn Fn(&Pixel) -> Vector2<f64> + Sync)| -> Vec<(Seen, Pixel)> {
             let lit = |(&(k, at), &radius): (&Seen, &f64)| {
                 let column = local(&self.columns, &at, radius, |p| map(p).x)?;
@@ -111,12 +113,35 @@ impl Lit {
             seen.par_iter().zip(&radii).filter_map(lit).collect()
         };
         let mut found = about(&|_| Vector2::zeros());
-        let flat = |row: f64| if row.is_nan() { 0.0 } else { row };
-        let pairs: Vec<_> = found.iter().map(|((_, lit), at)| (*at, Vector2::new(lit.x, flat(lit.y)))).collect();
-        if let Some(map) = Homography::fit(&pairs) {
-            found = about(&|p| map.apply(p));
+        for bent in [false, true] {
+            let flat = |row: f64| if row.is_nan() { 0.0 } else { row };
+            let pairs: Vec<_> =
+                found.iter().map(|((_, lit), at)| (straight(at), Vector2::new(lit.x, flat(lit.y)))).collect();
+            let Some(map) = Homography::fit(&pairs) else { break };
+            let bend = if bent { Bend::of(&map, &pairs) } else { None };
+            found = about(&|p| {
+                let p = straight(p);
+                map.apply(&p) + bend.as_ref().map_or(Vector2::zeros(), |b| b.at(&p))
+            });
         }
         found.into_iter().map(|(seen, _)| seen).collect()
+    }
+}
+
+/// What the projector's lens adds to a plane's homography: distortion is of third order.
+struct Bend([Polynomial; 2]);
+
+impl Bend {
+    /// From what pairs of the camera's undistorted view and the projector's pixel are off `map`; `None` of too few to tell.
+    fn of(map: &Homography, pairs: &[(Vector2<f64>, Pixel)]) -> Option<Self> {
+        let off: Vec<_> = pairs.iter().map(|(at, lit)| (*at, lit - map.apply(at))).collect();
+        let along = |axis: usize| Polynomial::through(off.iter().map(|(at, off)| (*at, off[axis])), 3);
+        Some(Self([along(0)?, along(1)?]))
+    }
+
+    fn at(&self, p: &Vector2<f64>) -> Vector2<f64> {
+        let Self([x, y]) = self;
+        Vector2::new(x.height(p), y.height(p))
     }
 }
 

@@ -235,6 +235,15 @@ impl Polynomial {
         finite.then_some(exact)
     }
 
+    /// The surface of least squares through points (u, v) and w, all alike; `None` with fewer than 1.5 points per
+    /// coefficient, or where they do not determine it.
+    pub fn through(points: impl Iterator<Item = (Vector2<f64>, f64)> + Clone, order: usize) -> Option<Self> {
+        let scale = points.clone().map(|(uv, _)| uv.amax()).fold(f64::MIN_POSITIVE, f64::max);
+        let scaled = Scaled { scale, points: points.map(|(uv, w)| (uv / scale, w, 1.0)).collect() };
+        let weights = vec![1.0; scaled.points.len()];
+        of_order!(order, fit(&scaled, &weights))
+    }
+
     /// Scale (mm) and coefficients, as `from_coefficients` takes them.
     pub fn coefficients(&self) -> (f64, Vec<f64>) {
         (self.scale, self.coefficients.as_slice()[..terms(self.order)].to_vec())

@@ -109,7 +109,7 @@ impl Lens {
         }
     }
 
-    fn normalised(&self, pixel: &Pixel) -> Vector2<f64> {
+    pub(crate) fn normalised(&self, pixel: &Pixel) -> Vector2<f64> {
         Vector2::new((pixel.x - self.cx) / self.fx, (pixel.y - self.cy) / self.fy)
     }
 

@@ -46,18 +46,16 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     let Shots { mut shots, left_out } = read_shots(&a.captures, &a.board)?;
     let projector = projector_size(&shots)?;
     let points = a.board.points();
-    if a.board.diameter().is_some() {
-        // the centres of discs are better once the lens is known
-        let view = |s: &Shot| View { name: s.name.clone(), seen: [seen(&s.sighting), Vec::new()] };
-        let views: Vec<View> = shots.iter().map(view).collect();
-        let lens = solve(&points, &views, [Some(shots[0].size), None], Terms::Chosen)?.devices[0].lens.clone();
-        shots.iter_mut().for_each(|s| s.sighting = s.sighting.through(&a.board, &lens));
-    }
+    // the centres of discs are better once the lens is known, and so is what the fringes are fitted by
+    let view = |s: &Shot| View { name: s.name.clone(), seen: [seen(&s.sighting), Vec::new()] };
+    let views: Vec<View> = shots.iter().map(view).collect();
+    let lens = solve(&points, &views, [Some(shots[0].size), None], Terms::Chosen)?.devices[0].lens.clone();
+    shots.iter_mut().for_each(|s| s.sighting = s.sighting.through(&a.board, &lens));
     let mut views = Vec::new();
     for (n, shot) in shots.iter().enumerate() {
         eprintln!("{}/{} {}: decoding", n + 1, shots.len(), shot.name);
         let camera = seen(&shot.sighting);
-        let lit = Lit::read(capture(shot)?, &a.board, &camera)?.projector(&a.board, &camera);
+        let lit = Lit::read(capture(shot)?, &a.board, &camera)?.projector(&a.board, &camera, &lens);
         let rows = lit.iter().all(|(_, at)| at.y.is_finite());
         Check(&capture(shot)?.file()).that(
             rows && !lit.is_empty(),
