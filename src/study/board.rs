@@ -36,7 +36,7 @@ pub(super) fn run(given: &Given, progress: &dyn Progress) -> Result<Outcome, Err
     let board: Board = BOARD.parse().expect("a board");
     let repeats = given.of(REPEATS, 2);
     let places: Vec<(f64, [f64; 2])> = if given.quick {
-        vec![(DISTANCES_MM[2], TILTS_DEG[0]), (DISTANCES_MM[4], TILTS_DEG[1])]
+        vec![(DISTANCES_MM[2], TILTS_DEG[0]), (DISTANCES_MM[4], TILTS_DEG[3])]
     } else {
         DISTANCES_MM.iter().flat_map(|mm| TILTS_DEG.map(|tilt| (*mm, tilt))).collect()
     };
