@@ -114,10 +114,14 @@ pub fn residual_samples(stack: &Stack, limit: usize) -> Vec<NoiseSample> {
 const HELD: usize = 2048;
 const FEWEST: usize = 200;
 
+/// No paint makes images of fringes so much noisier (variance) than the sensor: that is something else than such images.
+const NO_NOISE: f64 = 10.0;
+
 /// By how much the images of a set are noisier than `law` says: a ratio of variances, at least 1. A projector's dither and a
 /// lamp's flicker on glittering paint come on top of what a sensor does. Only what two pixels side by side along the fringes
 /// do not have in common is noise: light that changes, motion, another pattern and harmonics are the same of both.
-/// `wanted`: which pixels of the first window count; empty: all. 1 of a set of three steps, which fits anything.
+/// `wanted`: which pixels of the first window count; empty: all. 1 of a set of three steps, which fits anything, and where it
+/// is too much to be noise.
 pub fn excess_noise(stack: &Stack, law: &NoiseLaw, wanted: &[bool]) -> f64 {
     let (set, windows) = (stack.set(), stack.complete().unwrap_or_default());
     let (Some(planes), Some(freedom)) = (windows.first(), set.steps.checked_sub(3).filter(|f| *f > 0)) else {
@@ -141,7 +145,8 @@ pub fn excess_noise(stack: &Stack, law: &NoiseLaw, wanted: &[bool]) -> f64 {
     }
     // the median, as edges and sudden gloss are no noise; of chi² over its freedom by Wilson and Hilferty (1931)
     let expected = (1.0 - 2.0 / (9.0 * f64::from(freedom))).powi(3);
-    (median(&mut ratios[..n]) / expected).max(1.0)
+    let excess = (median(&mut ratios[..n]) / expected).max(1.0);
+    if excess < NO_NOISE { excess } else { 1.0 }
 }
 
 /// Samples from second differences of one fringe image along the fringes, at most about `limit`: what a set of three
@@ -235,6 +240,8 @@ mod tests {
             }
             let all = excess_noise(&stack, &law, &[]);
             assert!((all / excess - 1.0).abs() < 0.12, "{steps} steps, {flicker}: {all} for {excess}");
+            let garbage = excess_noise(&stack, &law.with_excess(excess / 20.0), &[]);
+            assert_eq!(garbage, 1.0, "what is 20 times as much is no noise");
             let few: Vec<bool> = (0..6000).map(|i| i % 3000 < 100).collect();
             assert_eq!(excess_noise(&stack, &law, &few), 1.0, "of 100 pixels nothing can be said");
         }

@@ -18,8 +18,9 @@ use rayon::prelude::*;
 /// Share of pixels of the panels whose fringe images may contradict each other.
 const MAX_CONTRADICTORY: f64 = 0.3;
 /// Share of the light about the features that fringes modulate where other light drowns them: it is 0.7 in the dark. Less is
-/// noise: then no fringes are shown.
-const DROWNED: std::ops::Range<f64> = 0.03..0.15;
+/// noise: then no fringes are shown. There must be other light for that: so much of white.
+const DROWNED: std::ops::Range<f64> = 0.05..0.15;
+const BRIGHT: f64 = 0.2;
 /// A rig that has moved may not take more than this of the 0.5 mm at the features' centroid and the 0.15° that make a pose a
 /// wrong one.
 const WRONG_MM: f64 = 0.4;
@@ -59,13 +60,16 @@ impl Run<'_, '_> {
         if !(of_depth(refused.code) || too_few) {
             return refused;
         }
-        let black = self.cycle.capture.camera.black_level;
+        let (black, white) = (self.cycle.capture.camera.black_level, self.cycle.capture.camera.white_level());
         let looked_at =
             coordinates.pixels.iter().zip(self.cycle.buffers.fringes.wanted()).filter(|(_, wanted)| **wanted);
-        let share = |c: &Coordinate| f64::from(c.modulation) / (f64::from(c.level) - black);
-        let mut shares: Vec<f64> = looked_at.map(|(c, _)| share(c)).filter(|s| s.is_finite()).step_by(8).collect();
-        let share = robust::median(&mut shares);
-        if !DROWNED.contains(&share) {
+        let median = |of: &dyn Fn(&Coordinate) -> f64| {
+            let all = looked_at.clone().map(|(c, _)| of(c)).filter(|v| v.is_finite());
+            robust::median(&mut all.step_by(8).collect::<Vec<_>>())
+        };
+        let level = |c: &Coordinate| f64::from(c.level) - black;
+        let share = median(&|c| f64::from(c.modulation) / level(c));
+        if !(DROWNED.contains(&share) && median(&level) > BRIGHT * (white - black)) {
             return refused;
         }
         let detail = format!(
