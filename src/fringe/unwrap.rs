@@ -342,13 +342,18 @@ mod tests {
     }
 
     #[test]
-    fn sets_too_noisy_to_tell_the_order_are_invalid() {
+    fn sets_too_noisy_to_tell_the_order_are_invalid_unless_neighbours_help() {
         let mut maps = maps(&[1, 8], |i| i as f64);
         maps[0].pixels[600].variance = 0.03; // 0.17 rad times 8: 3.4 sigma to a wrong order
         maps[0].pixels[601].variance = 0.02;
+        maps[0].pixels[900].variance = 0.03;
+        // of each pair across pixel 600 one
+        spoil(&mut maps[0].pixels[598], State::Weak);
+        spoil(&mut maps[0].pixels[599], State::Weak);
         let map = unwrap(&maps, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
         assert_eq!(map.pixels[600].state, State::WrongOrder);
         assert_eq!(map.pixels[601].state, State::Valid);
+        assert!(map.pixels[900].state == State::Valid && (map.pixels[900].value - 900.0).abs() < 1e-4);
     }
 
     #[test]
