@@ -4,7 +4,7 @@
 use super::Capture;
 use crate::fringe::{
     self, Axis, Coordinate, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, Phase, PhaseMap, Stack,
-    difference_samples, residual_samples,
+    difference_samples, excess_noise, residual_samples,
 };
 use crate::image::{Image, Window};
 
@@ -25,7 +25,7 @@ pub struct Fringes {
     differences: Vec<NoiseSample>,
     white_level: u16,
     only: Option<Axis>,
-    /// The law that is stated of each set, or that its own images told when they were all there.
+    /// The law that is stated of each set; when its images are all there, what they tell of it.
     known: Vec<Option<NoiseLaw>>,
     black: f64,
     /// Where sets are decoded as soon as they are complete and their noise is known; nowhere if empty.
@@ -125,9 +125,12 @@ impl Fringes {
             self.differences = difference_samples(image, pattern.axis, window, self.white_level, NOISE_SAMPLES);
         }
         self.stacks[set].add(step, image)?;
-        if !self.wanted.is_empty() && self.stacks[set].is_complete() {
-            self.known[set] = self.known[set].or_else(|| self.own(set));
-            if let Some(noise) = self.known[set] {
+        if self.stacks[set].is_complete() {
+            // what is stated of the sensor is the least: glittering paint adds to it
+            let stated = self.known[set];
+            let raised = |law: NoiseLaw| law.with_excess(excess_noise(&self.stacks[set], &law, &self.wanted));
+            self.known[set] = stated.map(raised).or_else(|| self.own(set));
+            if let (false, Some(noise)) = (self.wanted.is_empty(), self.known[set]) {
                 self.decoded[set] = Some(self.decode(set, &noise)?);
             }
         }
@@ -145,7 +148,7 @@ impl Fringes {
         NoiseLaw::estimate(&residual_samples(&self.stacks[k], NOISE_SAMPLES), self.black)
     }
 
-    /// The noise law of each set: stated, or from its own residuals, or from another set's, or from the images.
+    /// The noise law of each set: stated and raised to what its images have, or from its own residuals, or from another set's, or from the images.
     pub fn noise(&self, capture: &Capture) -> Vec<NoiseLaw> {
         let read = capture.camera.read_noise_e.unwrap_or(0.0);
         let known = |k: usize| self.known[k].or_else(|| self.own(k));

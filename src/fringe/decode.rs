@@ -192,6 +192,20 @@ impl Fits {
         Some((sine.x[0], sine.residual / f64::from(freedom)))
     }
 
+    /// The same of what two pixels do not have in common: of their difference's residual the half.
+    pub(super) fn residual_apart(
+        &self,
+        one: impl Iterator<Item = u16> + Clone,
+        other: impl Iterator<Item = u16> + Clone,
+    ) -> Option<(f64, f64)> {
+        let square = one.clone().zip(other.clone()).map(|(a, b)| (f64::from(a) - f64::from(b)).powi(2)).sum();
+        let ((one, over), (other, too)) = (self.sums(one), self.sums(other));
+        let freedom = self.set.steps.checked_sub(3).filter(|&f| f > 0 && over | too == 0)?;
+        let apart = [one[0] - other[0], one[1] - other[1], one[2] - other[2], square];
+        let sine = self.fit(0)?.solve(&apart);
+        Some((0.5 * (one[0] + other[0]) / f64::from(self.set.steps), 0.5 * sine.residual / f64::from(freedom)))
+    }
+
     /// ΣI, ΣI·cos θ, ΣI·sin θ, ΣI² of the steps that are not saturated, θ the step's shift; and by bit which are.
     fn sums(&self, samples: impl Iterator<Item = u16>) -> ([f64; 4], u16) {
         let (mut sums, mut saturated) = ([0.0; 4], 0);

@@ -17,7 +17,7 @@ mod unwrap;
 
 pub use decode::{Limits, Phase, PhaseMap, State, decode, decode_where};
 pub use epipolar::{EpipolarCell, epipolar_cells, is_sampled};
-pub use noise::{NoiseLaw, NoiseSample, difference_samples, residual_samples};
+pub use noise::{NoiseLaw, NoiseSample, difference_samples, excess_noise, residual_samples};
 pub use pattern::{Axis, PatternSet};
 pub use stack::Stack;
 pub use triangulate::{Depth, DepthMap, Rays, epipolar_residual, projector_coordinate, triangulate};

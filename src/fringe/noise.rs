@@ -6,6 +6,7 @@ use super::decode::Fits;
 use super::stack::Planes;
 use super::{Axis, Stack};
 use crate::Image;
+use crate::geometry::robust::median;
 use crate::image::Window;
 
 /// Rounding to whole grey levels, DN².
@@ -40,6 +41,11 @@ impl NoiseLaw {
     /// Variance of one sample at `level`, DN².
     pub fn variance(&self, level: f64) -> f64 {
         self.gain * (level - self.black).max(0.0) + self.variance0
+    }
+
+    /// The law of images whose noise has `excess` times this one's variance.
+    pub fn with_excess(self, excess: f64) -> Self {
+        Self { gain: excess * self.gain, variance0: excess * self.variance0, ..self }
     }
 
     /// From samples of images, robustly: per band of level the mean below nine times itself, then a line through
@@ -102,6 +108,45 @@ pub fn residual_samples(stack: &Stack, limit: usize) -> Vec<NoiseSample> {
     let pixels = windows.iter().flat_map(|planes| places(planes).map(move |i| planes.part(set, i..i + 1)));
     let sample = |(level, variance)| NoiseSample { level, variance };
     pixels.filter_map(|pixel| fits.residual(pixel.map(|step| step[0]))).map(sample).collect()
+}
+
+/// Pixels whose noise is held against a law; fewer than the second number say nothing.
+const HELD: usize = 2048;
+const FEWEST: usize = 200;
+
+/// No paint makes images of fringes so much noisier (variance) than the sensor: that is something else than such images.
+const NO_NOISE: f64 = 10.0;
+
+/// By how much the images of a set are noisier than `law` says: a ratio of variances, at least 1. A projector's dither and a
+/// lamp's flicker on glittering paint come on top of what a sensor does. Only what two pixels side by side along the fringes
+/// do not have in common is noise: light that changes, motion, another pattern and harmonics are the same of both.
+/// `wanted`: which pixels of the first window count; empty: all. 1 of a set of three steps, which fits anything, and where it
+/// is too much to be noise.
+pub fn excess_noise(stack: &Stack, law: &NoiseLaw, wanted: &[bool]) -> f64 {
+    let (set, windows) = (stack.set(), stack.complete().unwrap_or_default());
+    let (Some(planes), Some(freedom)) = (windows.first(), set.steps.checked_sub(3).filter(|f| *f > 0)) else {
+        return 1.0;
+    };
+    let fits = Fits::new(*set, stack.white_level());
+    let beside = if set.axis == Axis::Column { planes.window.width } else { 1 };
+    let counts = |i: &usize| wanted.is_empty() || wanted[*i] && wanted[*i + beside];
+    let pixels = || (0..planes.len().saturating_sub(beside)).filter(counts);
+    let stride = pixels().count().div_ceil(HELD).max(1);
+    let (mut ratios, mut n) = ([0.0; HELD], 0);
+    for i in pixels().step_by(stride) {
+        let [one, other] = [i, i + beside].map(|i| planes.part(set, i..i + 1).map(|step| step[0]));
+        if let Some((level, variance)) = fits.residual_apart(one, other) {
+            ratios[n] = variance / law.variance(level);
+            n += 1;
+        }
+    }
+    if n < FEWEST {
+        return 1.0;
+    }
+    // the median, as edges and sudden gloss are no noise; of chi² over its freedom by Wilson and Hilferty (1931)
+    let expected = (1.0 - 2.0 / (9.0 * f64::from(freedom))).powi(3);
+    let excess = (median(&mut ratios[..n]) / expected).max(1.0);
+    if excess < NO_NOISE { excess } else { 1.0 }
 }
 
 /// Samples from second differences of one fringe image along the fringes, at most about `limit`: what a set of three
@@ -179,10 +224,36 @@ mod tests {
     }
 
     #[test]
+    fn noise_beyond_the_law_is_seen_and_what_neighbours_have_in_common_is_none() {
+        let (law, mut random) = (NoiseLaw::from_sensor(0.032, 6.0, 2.0), Random(4));
+        let cases = [(4, 1.0, 0.0), (8, 1.0, 0.0), (4, 3.3, 0.0), (8, 3.3, 0.0), (4, 1.0, 6.0), (8, 3.3, 6.0)];
+        for (steps, excess, flicker) in cases {
+            let set = PatternSet::new(Axis::Column, 8, steps).expect("legal");
+            let window = Window::whole(3000, 2);
+            let mut stack = Stack::new(set, 255, &[window]).expect("legal");
+            for step in 0..steps {
+                let changed = if step % 2 == 0 { flicker } else { -flicker };
+                let level = |x: usize| 140.0 + 30.0 * (0.02 * x as f64 + set.shift(step)).cos() + changed;
+                let sample = |i: usize| random.sample(level(i % 3000), &law.with_excess(excess));
+                let image = Image { width: 3000, height: 2, pixels: (0..6000).map(sample).collect() };
+                stack.add(step, &image).expect("fits");
+            }
+            let all = excess_noise(&stack, &law, &[]);
+            assert!((all / excess - 1.0).abs() < 0.12, "{steps} steps, {flicker}: {all} for {excess}");
+            let garbage = excess_noise(&stack, &law.with_excess(excess / 20.0), &[]);
+            assert_eq!(garbage, 1.0, "what is 20 times as much is no noise");
+            let few: Vec<bool> = (0..6000).map(|i| i % 3000 < 100).collect();
+            assert_eq!(excess_noise(&stack, &law, &few), 1.0, "of 100 pixels nothing can be said");
+        }
+    }
+
+    #[test]
     fn a_set_of_three_steps_has_no_residual_and_nothing_gives_no_law() {
         let set = PatternSet::new(Axis::Column, 1, 3).expect("legal");
         let law = NoiseLaw::from_sensor(0.03, 6.0, 0.0);
-        assert!(residual_samples(&planted(set, 300, |_| (90.0, 50.0, 1.0), &law, None), 300).is_empty());
+        let stack = planted(set, 300, |_| (90.0, 50.0, 1.0), &law, None);
+        assert!(residual_samples(&stack, 300).is_empty());
+        assert_eq!(excess_noise(&stack, &law, &[]), 1.0);
         assert_eq!(NoiseLaw::estimate(&[], 0.0), None);
     }
 }

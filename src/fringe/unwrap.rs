@@ -15,6 +15,9 @@ const ORDER_SIGMAS: f64 = 4.0;
 const CONTRADICTING_SIGMAS: f64 = 4.5;
 const HARMONIC_SIGMAS: f64 = 3.0;
 
+/// Neighbours so many rows and columns away help to tell which fringe it is.
+const STEADY: isize = 2;
+
 /// One pixel's projector coordinate.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Coordinate {
@@ -51,7 +54,8 @@ pub struct CoordinateMap {
 
 /// Projector coordinates along `axis` from `maps`: the sets of one window in any order; those of the other axis are
 /// left alone. `extent`: the projector's px along the axis. Of sets of equal count, a stack of exposures, each pixel takes
-/// all unsaturated steps for what they are worth. A pixel whose sets disagree by `limits.order_residual`, or are too noisy to agree, is invalid.
+/// all unsaturated steps for what they are worth. A pixel whose sets disagree by `limits.order_residual`, or are too noisy to
+/// agree, is invalid, unless noise explains it and its coarse phase agrees once its neighbours' are averaged into it.
 /// Errors where no set has the axis, or none of them has count 1. Panics if the windows differ.
 pub fn unwrap(maps: &[PhaseMap], axis: Axis, extent: usize, limits: &Limits) -> Result<CoordinateMap, Error> {
     unwrap_reusing(Vec::new(), maps, axis, extent, limits)
@@ -98,7 +102,7 @@ fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, limits: &L
     let mut phase = 0.0; // absolute, of a set of count 0: it knows nothing, and every phase agrees with it
     let mut variance = 0.0;
     let mut count = 0.0;
-    for level in levels {
+    for (k, level) in levels.iter().enumerate() {
         let p = best(level, i, limits);
         if p.state != State::Valid {
             out.state = p.state;
@@ -111,8 +115,17 @@ fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, limits: &L
             phase = within_turns(wrapped, TAU);
         } else {
             let ratio = finer / count;
-            let Some(ordered) = in_order(wrapped, phase * ratio, variance * ratio * ratio + own, limits.order_residual)
-            else {
+            let order = |coarse: f64, variance: f64| {
+                in_order(wrapped, coarse * ratio, variance * ratio * ratio + own, limits.order_residual)
+            };
+            let by_neighbours = || {
+                let off = (phase * ratio - wrapped) / TAU;
+                let noise = ORDER_SIGMAS * (variance * ratio * ratio + own).sqrt() / TAU;
+                let (steadier, variance) =
+                    steadied(levels[k - 1], i, map.window, limits).filter(|_| (off - off.round()).abs() < noise)?;
+                order(phase + steadier, variance)
+            };
+            let Some(ordered) = order(phase, variance).or_else(by_neighbours) else {
                 out.state = State::WrongOrder;
                 return out;
             };
@@ -122,6 +135,28 @@ fn coordinate(levels: &[&[&PhaseMap]], i: usize, map: &CoordinateMap, limits: &L
     }
     out.set(phase, variance as f32, map.pitch);
     out
+}
+
+/// What the neighbours of pixel `i` add to its phase in the sets of one count, rad, so that it becomes their mean, and the
+/// variance of that: where there is more of other light than of the projector's, one pixel alone cannot tell the next set's
+/// fringes apart. A body hardly bends within so few pixels, and neighbours count in pairs across the pixel, so that a slope
+/// leaves the mean alone. `None` without any pair.
+fn steadied(sets: &[&PhaseMap], i: usize, window: Window, limits: &Limits) -> Option<(f64, f64)> {
+    let at = best(sets, i, limits);
+    let (x, y) = (i % window.width, i / window.width);
+    let neighbour = |dx: isize, dy: isize| {
+        let (x, y) = (x.checked_add_signed(dx)?, y.checked_add_signed(dy)?);
+        let inside = x < window.width && y < window.height;
+        let phase = best(sets, if inside { y * window.width + x } else { return None }, limits);
+        let turn = f64::from(phase.phase - at.phase);
+        (phase.state == State::Valid).then(|| (turn - TAU * (turn / TAU).round(), f64::from(phase.variance)))
+    };
+    let (mut n, mut sum, mut variance) = (1.0, 0.0, f64::from(at.variance));
+    let half = (0..=STEADY).flat_map(|dy| (-STEADY..=STEADY).map(move |dx| (dx, dy))).filter(|d| d.1 > 0 || d.0 > 0);
+    for (a, b) in half.filter_map(|(dx, dy)| Some((neighbour(dx, dy)?, neighbour(-dx, -dy)?))) {
+        (n, sum, variance) = (n + 2.0, sum + a.0 + b.0, variance + a.1 + b.1);
+    }
+    (n > 1.0).then(|| (sum / n, variance / (n * n)))
 }
 
 /// The phase of `sets`, all of one count: the mean of the valid ones weighted by their variances, so that of a stack of
@@ -248,6 +283,31 @@ mod tests {
         }
     }
 
+    /// Of coarse phases so noisy that every fourth pixel's are a quarter fringe of the next set off, or more.
+    #[test]
+    fn a_pixel_too_noisy_to_tell_its_fringe_is_told_by_its_neighbours() {
+        let at = |i: usize| 20.0 + 1.7 * (i % 40) as f64 + 0.3 * (i / 40) as f64;
+        let window = Window::whole(40, 32);
+        let mut noise = crate::testing::Noise::new(8);
+        let mut noisy = maps(&[1, 8, 64], at);
+        for phase in noisy.iter_mut().flat_map(|map| &mut map.pixels) {
+            (phase.phase, phase.variance) = (phase.phase + 0.15 * noise.gauss() as f32, 0.15 * 0.15);
+        }
+        noisy.iter_mut().for_each(|map| map.window = window);
+        let right = |c: &(usize, &Coordinate)| c.1.state == State::Valid && (c.1.value - at(c.0)).abs() < 3.0;
+        let told = |maps: &[PhaseMap]| {
+            let map = unwrap(maps, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
+            let valid = map.pixels.iter().filter(|c| c.state == State::Valid).count();
+            (map.pixels.iter().enumerate().filter(right).count(), valid)
+        };
+        let (right, valid) = told(&noisy);
+        assert!(right > 1250 && valid - right < 5, "{right} right of {valid}, of 1280");
+        // the same phases, said to be sure: then it is no noise, and they are refused
+        noisy.iter_mut().flat_map(|map| &mut map.pixels).for_each(|phase| phase.variance = 1e-4);
+        let (right, valid) = told(&noisy);
+        assert!(valid < 1000, "{right} right of {valid}, of 1280");
+    }
+
     #[test]
     fn ratios_of_eight_unwrap_exactly_in_any_order_of_the_sets() {
         let at = |i: usize| i as f64 + 0.31;
@@ -282,13 +342,18 @@ mod tests {
     }
 
     #[test]
-    fn sets_too_noisy_to_tell_the_order_are_invalid() {
+    fn sets_too_noisy_to_tell_the_order_are_invalid_unless_neighbours_help() {
         let mut maps = maps(&[1, 8], |i| i as f64);
         maps[0].pixels[600].variance = 0.03; // 0.17 rad times 8: 3.4 sigma to a wrong order
         maps[0].pixels[601].variance = 0.02;
+        maps[0].pixels[900].variance = 0.03;
+        // of each pair across pixel 600 one
+        spoil(&mut maps[0].pixels[598], State::Weak);
+        spoil(&mut maps[0].pixels[599], State::Weak);
         let map = unwrap(&maps, Axis::Column, EXTENT, &LIMITS).expect("count 1 is there");
         assert_eq!(map.pixels[600].state, State::WrongOrder);
         assert_eq!(map.pixels[601].state, State::Valid);
+        assert!(map.pixels[900].state == State::Valid && (map.pixels[900].value - 900.0).abs() < 1e-4);
     }
 
     #[test]

@@ -10,13 +10,17 @@ use super::cycle::{Run, about};
 use super::judge::{Judged, Refused};
 use crate::calibrate::{Health, MAX_EPIPOLAR_PX, Turn};
 use crate::code::Code;
-use crate::fringe::{CoordinateMap, EpipolarCell, State};
+use crate::fringe::{Coordinate, CoordinateMap, EpipolarCell, State};
 use crate::geometry::robust;
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 
 /// Share of pixels of the panels whose fringe images may contradict each other.
 const MAX_CONTRADICTORY: f64 = 0.3;
+/// Share of the light about the features that fringes modulate where other light drowns them: it is 0.7 in the dark. Less is
+/// noise: then no fringes are shown. There must be other light for that: so much of white.
+const DROWNED: std::ops::Range<f64> = 0.05..0.15;
+const BRIGHT: f64 = 0.2;
 /// A rig that has moved may not take more than this of the 0.5 mm at the features' centroid and the 0.15° that make a pose a
 /// wrong one.
 const WRONG_MM: f64 = 0.4;
@@ -46,6 +50,35 @@ impl Run<'_, '_> {
             );
             Self::refuse(Code::PhaseAmbiguity, detail)
         })
+    }
+
+    /// `refused`, or if that was for want of depth and there is little of the projector's light beside other light: that.
+    pub(super) fn or_other_light(&self, refused: Refused, coordinates: &CoordinateMap) -> Refused {
+        let of_depth = |code: Code| matches!(code, Code::CoverageLow | Code::NotSmooth | Code::PhaseAmbiguity);
+        let mut of_features = self.located.iter().filter_map(|l| l.as_ref().err());
+        let too_few = refused.code == Code::TooFewFeatures && of_features.any(|code| of_depth(*code));
+        if !(of_depth(refused.code) || too_few) {
+            return refused;
+        }
+        let (black, white) = (self.cycle.capture.camera.black_level, self.cycle.capture.camera.white_level());
+        let looked_at =
+            coordinates.pixels.iter().zip(self.cycle.buffers.fringes.wanted()).filter(|(_, wanted)| **wanted);
+        let median = |of: &dyn Fn(&Coordinate) -> f64| {
+            let all = looked_at.clone().map(|(c, _)| of(c)).filter(|v| v.is_finite());
+            robust::median(&mut all.step_by(8).collect::<Vec<_>>())
+        };
+        let level = |c: &Coordinate| f64::from(c.level) - black;
+        let share = median(&|c| f64::from(c.modulation) / level(c));
+        if !(DROWNED.contains(&share) && median(&level) > BRIGHT * (white - black)) {
+            return refused;
+        }
+        let detail = format!(
+            "The fringes modulate {:.0} % of the light about the features, wanted {:.0} %: {}",
+            100.0 * share,
+            100.0 * DROWNED.end,
+            refused.detail
+        );
+        Refused { code: Code::Ambient, detail, ..refused }
     }
 
     /// What the other axis' fringes say of the calibration about each feature.

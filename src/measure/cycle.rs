@@ -209,11 +209,18 @@ impl<'c> Run<'c, '_> {
 
     fn measurement(
         &mut self,
-        decoded: Result<&mut Decoded, &mut fringe::Error>,
+        mut decoded: Result<&mut Decoded, &mut fringe::Error>,
         depths: &mut Vec<Depth>,
         ended: &mut dyn FnMut(Stage),
     ) -> Measurement {
-        let outcome = self.usable().and_then(|()| self.pose(decoded, depths, ended));
+        let outcome = self.usable().and_then(|()| {
+            let decoded = decoded.as_deref_mut().map_err(|e| &mut **e);
+            self.pose(decoded, depths, ended)
+        });
+        let outcome = match &decoded {
+            Ok(decoded) => outcome.map_err(|refused| self.or_other_light(refused, &decoded.coordinates)),
+            Err(_) => outcome,
+        };
         let health = self.health();
         let outcome = match &health {
             Some(health) => outcome.and_then(|judged| self.with_health(judged, health)),

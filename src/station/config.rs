@@ -446,7 +446,7 @@ impl Default for CycleKeys {
             acquire_ms: 1200,
             second_by_ms: 2200,
             second_captures: 1,
-            ambient_limit: 4.0,
+            ambient_limit: 5.0,
         }
     }
 }
