@@ -20,6 +20,7 @@ pub mod geometry;
 pub mod hal;
 pub mod heap;
 pub mod image;
+pub mod lent;
 pub mod measure;
 pub mod optics;
 pub mod plc;

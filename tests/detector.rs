@@ -114,7 +114,7 @@ fn the_network_that_comes_with_the_program_finds_a_vehicles_features_and_nothing
     let measurer = Measurer::new(calibration, vehicle).expect("test data").with_detector(Some(detector));
     let capture = Capture::open(&station.join("moved")).expect("test data");
     let measured = measure(&measurer, &capture, &mut |_| ()).expect("test data").0;
-    let regions: Vec<_> = measured.features.iter().map(|f| f.region.as_deref()).collect();
+    let regions: Vec<_> = measured.features.iter().map(|f| f.region).collect();
     assert_eq!((measured.verdict, regions), (Verdict::Ok, vec![Some("detector"); 4]), "{}", measured.detail);
 }
 
@@ -148,7 +148,7 @@ fn a_detector_that_fails_or_finds_nothing_leaves_the_measurement_as_it_is_withou
         measure(&measurer, &capture, &mut |_| ()).expect("test data").0
     };
     let without = result(None);
-    assert!(without.warning.is_none() && without.features.iter().all(|f| f.region.as_deref() == Some("search")));
+    assert!(without.warning.is_none() && without.features.iter().all(|f| f.region == Some("search")));
     let failed = result(Some("only-in-light.onnx"));
     let warning = failed.warning.clone().expect("it failed");
     assert!(warning.contains("only-in-light.onnx: the network's output is not finite"), "{warning}");

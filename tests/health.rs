@@ -131,14 +131,14 @@ fn of_board(calibration: &Calibration, capture: &Capture) -> Health {
     let maps: Vec<PhaseMap> = capture
         .fringes
         .iter()
-        .flat_map(|set| {
+        .map(|set| {
             let noise = NoiseLaw::from_sensor(set.gain_dn_per_e.unwrap_or(0.032), 6.0, capture.camera.black_level);
             let pattern = PatternSet::new(set.axis, set.count, set.steps).expect("legal");
             let mut sums = Stack::new(pattern, 255, &[window]).expect("legal");
             for (step, image) in (0u32..).zip(&set.images) {
                 sums.add(step, &capture.load(image).expect("an image")).expect("fits");
             }
-            decode(&sums, &noise, &limits).expect("complete")
+            decode(&sums, &noise, &limits).expect("complete").remove(0)
         })
         .collect();
     let columns = unwrap(&maps, Axis::Column, capture.projector.width, &limits).expect("absolute");

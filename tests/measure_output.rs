@@ -22,7 +22,7 @@ fn results() -> [Measurement; 3] {
         covariance_mm2: Some([[0.01, 0.0, 0.0], [0.0, 0.01, 0.0], [0.0, 0.0, 0.02]]),
         residual_mm: Some(0.05),
         score: Some(score),
-        region: Some("detector".into()),
+        region: Some("detector"),
         ..FeatureResult::unknown(name)
     };
     let ok = Measurement {

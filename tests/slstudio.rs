@@ -328,7 +328,7 @@ fn phase_noise_on_white_squares_follows_the_law() {
         let sigma = rms(&measured) / 6.0_f64.sqrt();
         let window = Window { x: CAMERA.0 / 4, y: CAMERA.1 / 4, width: CAMERA.0 / 2, height: CAMERA.1 / 2 };
         let samples: Vec<_> =
-            sets[0].1.iter().flat_map(|i| difference_samples(i, Axis::Column, window, 255, 60_000)).collect();
+            sets[0].1.iter().flat_map(|i| difference_samples(i, Axis::Column, window, 255, 60_000).to_vec()).collect();
         let estimated = NoiseLaw::estimate(&samples, 0.0).expect("samples");
         eprintln!(
             "board {id}: phase sigma {sigma:.4} rad ({:.4}), law {law:.4} ({:.4}), n {n} ({}); from the images {estimated:?}",

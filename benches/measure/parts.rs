@@ -4,8 +4,9 @@ use crate::station::Bench;
 use criterion::Criterion;
 use datum::Image;
 use datum::contour::{EdgeFilter, cross_level, find_edges};
-use datum::fringe::{Axis, Limits, NoiseLaw, PatternSet, PhaseMap, Stack, decode_where, unwrap_reusing};
+use datum::fringe::{Axis, Limits, NoiseLaw, PatternSet, PhaseMap, Stack, decode_where, unwrap};
 use datum::image::Window;
+use datum::lent::{Spare, side_by_side};
 use rayon::prelude::*;
 use std::hint::black_box;
 
@@ -48,32 +49,32 @@ impl Images {
     }
 }
 
-/// Buffers as a station has them: made once.
-struct Buffers {
-    stacks: [Stack; 3],
-    maps: Vec<PhaseMap>,
-}
+/// The stacks of a capture's sets.
+struct Stacks([Stack; 3]);
 
-impl Buffers {
+impl Stacks {
     fn new() -> Self {
         let whole = Window::whole(WIDTH, HEIGHT);
         let set = |count| PatternSet::new(Axis::Column, count, 4).expect("legal");
         let stack = |count| Stack::new(set(count), 255, &[whole]).expect("legal");
-        let map = |count| PhaseMap { set: set(count), window: whole, pixels: Vec::new() };
-        Self { stacks: COUNTS.map(stack), maps: COUNTS.map(map).to_vec() }
+        Self(COUNTS.map(stack))
     }
 
-    fn decode(&mut self, images: &Images, set: usize) {
-        let stack = &mut self.stacks[set];
+    fn decode(&mut self, images: &Images, set: usize) -> PhaseMap {
+        let stack = &mut self.0[set];
         stack.restart(&[Window::whole(WIDTH, HEIGHT)]);
         (0..).zip(&images.sets[set]).for_each(|(step, image)| stack.add(step, image).expect("of the set"));
-        decode_where(stack, 0, &NOISE, &Limits::DEFAULT, &[], &mut self.maps[set]).expect("complete");
+        decode_where(stack, 0, &NOISE, &Limits::DEFAULT, &[]).expect("complete")
     }
 }
 
+/// With the room of the round before, as a station has it.
 pub(crate) fn bench(c: &mut Criterion, images: &Images, threads: usize) {
-    let mut buffers = Buffers::new();
-    let mut coordinates = Vec::new();
+    Spare::default().serve(|| served(c, images, threads));
+}
+
+fn served(c: &mut Criterion, images: &Images, threads: usize) {
+    let mut stacks = Stacks::new();
     let image = &images.sets[0][0];
     let mut group = c.benchmark_group(format!("parts_{threads}"));
     group.bench_function("read_image", |bench| {
@@ -81,19 +82,17 @@ pub(crate) fn bench(c: &mut Criterion, images: &Images, threads: usize) {
         bench.iter(|| black_box(image).pixels.par_chunks(64 * WIDTH).map(sum).sum::<u64>());
     });
     group.bench_function("add_image", |bench| {
-        let stack = &mut buffers.stacks[0];
+        let stack = &mut stacks.0[0];
         bench.iter(|| {
             stack.restart(&[Window::whole(WIDTH, HEIGHT)]);
             stack.add(0, black_box(image)).expect("of the set");
         });
     });
-    group.bench_function("wrap_4", |bench| bench.iter(|| buffers.decode(black_box(images), 2)));
+    group.bench_function("wrap_4", |bench| bench.iter(|| stacks.decode(black_box(images), 2)));
     group.bench_function("decode_unwrap_3x4", |bench| {
         bench.iter(|| {
-            (0..3).for_each(|set| buffers.decode(black_box(images), set));
-            let spare = std::mem::take(&mut coordinates);
-            let map = unwrap_reusing(spare, &buffers.maps, Axis::Column, 1280, &Limits::DEFAULT).expect("count 1");
-            coordinates = map.pixels;
+            let maps: [PhaseMap; 3] = std::array::from_fn(|set| stacks.decode(black_box(images), set));
+            unwrap(&maps, Axis::Column, 1280, &Limits::DEFAULT).expect("count 1")
         });
     });
     group.bench_function("edges_4_regions", |bench| {
@@ -105,7 +104,7 @@ pub(crate) fn bench(c: &mut Criterion, images: &Images, threads: usize) {
             let found = find_edges(region, whole, &filter, |level| NOISE.variance(level));
             cross_level(region, &found, 8.0, |_| 255.0, |level| NOISE.variance(level)).len()
         };
-        bench.iter(|| black_box(&images.regions).par_iter().map(edges).sum::<usize>());
+        bench.iter(|| side_by_side(images.regions.len(), |k| edges(&images.regions[k])));
     });
     group.finish();
 }

@@ -16,12 +16,14 @@
 use super::file::{Calibration, ParameterCovariance};
 use super::propagate::{PointJacobian, RELATION, Sensitivity};
 use crate::fringe::{Axis, EpipolarCell};
-use crate::geometry::{Pair, frame, motion_jacobian, register, robust};
+use crate::geometry::robust::Weights;
+use crate::geometry::{Pair, frame, motion_jacobian, register};
+use crate::lent::List;
 use crate::optics::Rig;
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, RowSVector, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, Matrix3x6, Matrix5, RowSVector, SMatrix, SVector, Vector3};
 use rayon::prelude::*;
 use serde::Serialize;
-use std::collections::BTreeMap;
+use std::fmt::Write;
 
 /// The index from which on a rig is unhealthy. Of the fringes' five directions noise alone gets there once in 10⁹
 /// vehicles, of the lengths once in 400.
@@ -40,6 +42,8 @@ const DRIFT_RAD: f64 = 0.001 * std::f64::consts::PI / 180.0;
 const SIZE_BIAS: f64 = 8e-5;
 /// Fewer cells say nothing.
 const MIN_CELLS: usize = 20;
+/// Bytes of a healthy calibration's sentence, and some.
+const SENTENCE: usize = 128;
 /// Highest correlation of neighbouring cells that is believed: from there on all cells are a handful.
 const MAX_CORRELATION: f64 = 0.8;
 
@@ -127,14 +131,13 @@ impl Health {
     }
 
     fn sentence(&self, fringes: f64) -> String {
-        let scale = match (self.scale_percent, self.scale_sigma_percent) {
-            (Some(s), Some(sigma)) => format!("{s:+.3} % ± {sigma:.3} %"),
-            _ => "unknown".into(),
+        let mut out = String::with_capacity(SENTENCE);
+        let _ = write!(out, "calibration health: epipolar {:.3} px, scale ", self.epipolar_px);
+        let _ = match (self.scale_percent, self.scale_sigma_percent) {
+            (Some(s), Some(sigma)) => write!(out, "{s:+.3} % ± {sigma:.3} %"),
+            _ => write!(out, "unknown"),
         };
-        let mut out = format!(
-            "calibration health: epipolar {:.3} px, scale {scale}, index {:.1} of {MAX_INDEX}: ",
-            self.epipolar_px, self.index
-        );
+        let _ = write!(out, ", index {:.1} of {MAX_INDEX}: ", self.index);
         let mut causes = Vec::new();
         if let Some(turn) = self.turn.filter(|_| fringes > MAX_INDEX) {
             let sigmas = turn.covariance.diagonal().map(f64::sqrt);
@@ -152,10 +155,13 @@ impl Health {
         if causes.is_empty() && !self.healthy {
             causes.push("the fringes lie off the epipolar lines in no simple way".into());
         }
-        out += &if causes.is_empty() { "healthy".into() } else { format!("{}; verify", causes.join(", ")) };
+        let _ = if causes.is_empty() { write!(out, "healthy") } else { write!(out, "{}; verify", causes.join(", ")) };
         out
     }
 }
+
+/// A cell, and how its residual follows the calibrated parameters.
+type Response = (EpipolarCell, RowSVector<f64, 24>);
 
 /// What the residuals say.
 struct Fringes {
@@ -172,23 +178,24 @@ impl Fringes {
         cells: &[EpipolarCell],
     ) -> Option<Self> {
         let rig = &calibration.rig;
-        let responses: Vec<(&EpipolarCell, RowSVector<f64, 24>)> =
-            cells.par_iter().filter_map(|c| Some((c, Sensitivity::new(rig, axis, &c.point)?.across))).collect();
+        let response = |c: &EpipolarCell| Some((*c, Sensitivity::new(rig, axis, &c.point)?.across));
+        let responses = List::of_parallel(cells.par_iter().map(response));
+        let responses = List::of(responses.iter().flatten().copied());
         if responses.len() < MIN_CELLS {
             return None;
         }
         let motions = motions(calibration);
         let pattern = |row: &RowSVector<f64, 24>| row.fixed_columns::<6>(RELATION) * motions;
-        let own: Vec<f64> = responses.iter().map(|(c, _)| c.sigma.hypot(FLOOR_PX)).collect();
+        let own = List::of(responses.iter().map(|(c, _)| c.sigma.hypot(FLOOR_PX)));
         let (squares, sum) = responses.iter().zip(&own).fold((0.0, 0.0), |(squares, sum), ((c, _), own)| {
             let weight = own.powi(-2);
             (squares + weight * c.residual.powi(2), sum + weight)
         });
-        let mut weights = vec![1.0; own.len()];
-        let mut misfit = Vec::new();
-        let mut variance = 1.0;
+        let mut weights = Weights::default();
+        weights.weights.resize(own.len(), 1.0);
+        let mut misfit = List::new();
         for _ in 0..5 {
-            let (normal, right) = responses.iter().zip(&own).zip(&weights).fold(
+            let (normal, right) = responses.iter().zip(&own).zip(&weights.weights).fold(
                 (SMatrix::<f64, 5, 5>::zeros(), SVector::<f64, 5>::zeros()),
                 |(normal, right), (((c, row), own), w)| {
                     let j = pattern(row).transpose() / *own;
@@ -196,19 +203,16 @@ impl Fringes {
                 },
             );
             let fitted = pseudo_inverse(&normal).0 * right;
-            misfit = responses
-                .iter()
-                .zip(&own)
-                .map(|((c, row), own)| (c.residual - (pattern(row) * fitted)[0]) / own)
-                .collect();
-            let (w, scale) = robust::weigh(&misfit);
-            (weights, variance) = (w, scale * scale);
+            let off = |((c, row), own): (&Response, &f64)| (c.residual - (pattern(row) * fitted)[0]) / own;
+            misfit.clear();
+            misfit.extend(responses.iter().zip(&own).map(off));
+            weights.weigh(misfit.iter().copied());
         }
-        variance *= cells_per_independent(&responses, &misfit);
+        let variance = weights.scale * weights.scale * cells_per_independent(&responses, &misfit);
 
         let mut right = SVector::<f64, 24>::zeros();
         let mut normal = ParameterCovariance::zeros();
-        for (((c, row), own), w) in responses.iter().zip(&own).zip(&weights) {
+        for (((c, row), own), w) in responses.iter().zip(&own).zip(&weights.weights) {
             let weight = w / (own * own * variance);
             right += row.transpose() * (c.residual * weight);
             normal += row.transpose() * row * weight;
@@ -225,7 +229,9 @@ impl Fringes {
             pseudo_inverse(&(information + response * response.transpose() + drift * drift.transpose()));
         let chi2: f64 = b.dot(&(inverse * b));
 
-        let (inverse, _) = pseudo_inverse(&information.fixed_view::<3, 3>(0, 0).into_owned());
+        let mut of_turns = Matrix5::zeros();
+        of_turns.fixed_view_mut::<3, 3>(0, 0).copy_from(&information.fixed_view::<3, 3>(0, 0));
+        let inverse = pseudo_inverse(&of_turns).0.fixed_view::<3, 3>(0, 0).into_owned();
         let spread = inverse * response.fixed_rows::<3>(0);
         Some(Self {
             index: (chi2 / directions as f64).sqrt(),
@@ -253,16 +259,16 @@ fn motions(calibration: &Calibration) -> SMatrix<f64, 6, 5> {
 /// How many cells hold what one independent one would: a misfit that is smooth over the image is the same in many.
 /// With correlation ρ of neighbours falling off by the step along both axes, ((1 + ρ)/(1 − ρ))²; Bayley, Hammersley,
 /// "The 'effective' number of independent observations in an autocorrelated time series", JRSS Suppl. 8 (1946) 184.
-fn cells_per_independent(responses: &[(&EpipolarCell, RowSVector<f64, 24>)], misfit: &[f64]) -> f64 {
+fn cells_per_independent(responses: &[Response], misfit: &[f64]) -> f64 {
     // a cell that is far off tells nothing of its neighbours
-    let clipped: BTreeMap<[i32; 2], f64> =
-        responses.iter().zip(misfit).map(|((c, _), m)| (c.index, m.clamp(-4.0, 4.0))).collect();
+    let mut clipped = List::of(responses.iter().zip(misfit).map(|((c, _), m)| (c.index, m.clamp(-4.0, 4.0))));
+    clipped.sort_unstable_by_key(|(index, _)| *index);
     let (mut products, mut pairs, mut squares) = (0.0, 0.0, 0.0);
-    for (&[i, j], m) in &clipped {
+    for &([i, j], m) in &clipped {
         squares += m * m;
         for neighbour in [[i + 1, j], [i, j + 1]] {
-            if let Some(other) = clipped.get(&neighbour) {
-                products += m * other;
+            if let Ok(k) = clipped.binary_search_by_key(&neighbour, |(index, _)| *index) {
+                products += m * clipped[k].1;
                 pairs += 1.0;
             }
         }
@@ -277,7 +283,7 @@ fn cells_per_independent(responses: &[(&EpipolarCell, RowSVector<f64, 24>)], mis
 /// By how much the known points come out larger than nominal, a share, with its sigma: a similarity fitted to them.
 /// What moves all of them alike is the pose's. `None` where they make no pose.
 fn scale(known: &[Known]) -> Option<(f64, f64)> {
-    let pairs: Vec<_> = known.iter().map(|k| k.pair).collect();
+    let pairs = List::of(known.iter().map(|k| k.pair));
     let fit = register(&pairs).ok()?;
     let to_vehicle = fit.a_from_b.r.inverse();
     let mut normal = SMatrix::<f64, 7, 7>::zeros();
@@ -300,13 +306,13 @@ fn scale(known: &[Known]) -> Option<(f64, f64)> {
 }
 
 /// The inverse on the directions that `m` determines, and their number. Rows are scaled first: units do not matter.
-fn pseudo_inverse<const N: usize>(m: &SMatrix<f64, N, N>) -> (SMatrix<f64, N, N>, usize) {
+fn pseudo_inverse(m: &Matrix5<f64>) -> (Matrix5<f64>, usize) {
     let over = m.diagonal().map(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 0.0 });
-    let scaled = DMatrix::from_fn(N, N, |i, j| m[(i, j)] * over[i] * over[j]).symmetric_eigen();
+    let scaled = Matrix5::from_fn(|i, j| m[(i, j)] * over[i] * over[j]).symmetric_eigen();
     let known = |v: f64| v > 1e-9 * scaled.eigenvalues.max();
-    let inverted = DVector::from_iterator(N, scaled.eigenvalues.iter().map(|&v| if known(v) { 1.0 / v } else { 0.0 }));
-    let inverse = &scaled.eigenvectors * DMatrix::from_diagonal(&inverted) * scaled.eigenvectors.transpose();
-    let out = SMatrix::from_fn(|i, j| inverse[(i, j)] * over[i] * over[j]);
+    let inverted = scaled.eigenvalues.map(|v| if known(v) { 1.0 / v } else { 0.0 });
+    let inverse = scaled.eigenvectors * Matrix5::from_diagonal(&inverted) * scaled.eigenvectors.transpose();
+    let out = Matrix5::from_fn(|i, j| inverse[(i, j)] * over[i] * over[j]);
     (out, scaled.eigenvalues.iter().filter(|v| known(**v)).count())
 }
 

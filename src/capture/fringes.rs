@@ -3,10 +3,11 @@
 
 use super::Capture;
 use crate::fringe::{
-    self, Axis, Coordinate, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, Phase, PhaseMap, Stack,
-    difference_samples, excess_noise, residual_samples,
+    self, Axis, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, PhaseMap, Stack, difference_samples,
+    excess_noise, residual_samples,
 };
 use crate::image::{Image, Window};
+use crate::lent::List;
 
 /// Pixels from which a noise law is estimated.
 const NOISE_SAMPLES: usize = 50_000;
@@ -20,20 +21,18 @@ pub struct Fringes {
     /// Where in the image that is left of every image: all of it, or every `every`-th column and row.
     pub window: Window,
     every: usize,
-    stacks: Vec<Stack>,
+    stacks: List<Stack>,
     /// Noise samples of sets that tell nothing by themselves.
-    differences: Vec<NoiseSample>,
+    differences: List<NoiseSample>,
     white_level: u16,
     only: Option<Axis>,
     /// The law that is stated of each set; when its images are all there, what they tell of it.
-    known: Vec<Option<NoiseLaw>>,
+    known: List<Option<NoiseLaw>>,
     black: f64,
     /// Where sets are decoded as soon as they are complete and their noise is known; nowhere if empty.
-    wanted: Vec<bool>,
+    wanted: List<bool>,
     /// What was decoded so, per set.
-    decoded: Vec<Option<PhaseMap>>,
-    /// Buffers for what will be.
-    spare: Vec<Vec<Phase>>,
+    decoded: List<Option<PhaseMap>>,
 }
 
 impl Fringes {
@@ -50,71 +49,27 @@ impl Fringes {
         Self {
             window,
             every: 1,
-            stacks: stacks.collect(),
-            differences: Vec::new(),
+            stacks: List::of(stacks),
+            differences: List::new(),
             white_level,
             only,
-            known: capture.fringes.iter().map(stated).collect(),
+            known: List::of(capture.fringes.iter().map(stated)),
             black,
-            wanted: Vec::new(),
-            decoded: vec![None; capture.fringes.len()],
-            spare: Vec::new(),
+            wanted: List::new(),
+            decoded: List::of(capture.fringes.iter().map(|_| None)),
         }
     }
 
     /// Of all sets of `capture`, where `window` is of what is left of the images when only every `every`-th column and
     /// row is looked at. Sets are decoded when their last image comes, where `wanted` is true, row by row.
-    /// The buffers of `spare` are used again.
-    pub fn as_they_come(spare: Self, capture: &Capture, window: Window, every: usize, wanted: Vec<bool>) -> Self {
-        let mut new = Self::new(capture, Window::whole(0, 0), None);
-        (new.window, new.every, new.wanted) = (window, every, wanted);
-        let mut stacks = spare.stacks.into_iter();
-        for own in &mut new.stacks {
-            if let Some(mut reused) = stacks.next() {
-                reused.turn_to(*own.set(), new.white_level).expect("the set of a stack");
-                *own = reused;
-            }
-            own.thin(every);
-            own.restart(&[window]);
-        }
-        new.spare = spare.spare;
-        new.give_back(spare.decoded.into_iter().flatten());
+    pub fn as_they_come(capture: &Capture, window: Window, every: usize, wanted: List<bool>) -> Self {
+        let mut new = Self { every, wanted, ..Self::new(capture, window, None) };
+        new.stacks.iter_mut().for_each(|stack| stack.thin(every));
         new
     }
 
-    /// Nothing, of no capture: what a first capture begins with.
-    pub fn none() -> Self {
-        Self {
-            window: Window::whole(0, 0),
-            every: 1,
-            stacks: Vec::new(),
-            differences: Vec::new(),
-            white_level: u16::MAX,
-            only: None,
-            known: Vec::new(),
-            black: 0.0,
-            wanted: Vec::new(),
-            decoded: Vec::new(),
-            spare: Vec::new(),
-        }
-    }
-
-    /// Takes phases that are no longer needed, for their buffers.
-    pub fn give_back(&mut self, phases: impl IntoIterator<Item = PhaseMap>) {
-        self.spare.extend(phases.into_iter().map(|map| map.pixels));
-    }
-
-    /// Gives up the list of what was wanted, for its buffer.
-    pub fn take_wanted(&mut self) -> Vec<bool> {
-        std::mem::take(&mut self.wanted)
-    }
-
-    fn decode(&mut self, set: usize, noise: &NoiseLaw) -> Result<PhaseMap, fringe::Error> {
-        let stack = &self.stacks[set];
-        let pixels = self.spare.pop().unwrap_or_default();
-        let mut map = PhaseMap { set: *stack.set(), window: self.window, pixels };
-        fringe::decode_where(stack, 0, noise, &Limits::DEFAULT, &self.wanted, &mut map)?;
-        Ok(map)
+    fn decode(&self, set: usize, noise: &NoiseLaw) -> Result<PhaseMap, fringe::Error> {
+        fringe::decode_where(&self.stacks[set], 0, noise, &Limits::DEFAULT, &self.wanted)
     }
 
     /// Takes image `step` of set `set`, in any order.
@@ -148,8 +103,9 @@ impl Fringes {
         NoiseLaw::estimate(&residual_samples(&self.stacks[k], NOISE_SAMPLES), self.black)
     }
 
-    /// The noise law of each set: stated and raised to what its images have, or from its own residuals, or from another set's, or from the images.
-    pub fn noise(&self, capture: &Capture) -> Vec<NoiseLaw> {
+    /// The noise law of each set: stated and raised to what its images have, or from its own residuals, or from another set's, or
+    /// from the images.
+    pub fn noise(&self, capture: &Capture) -> List<NoiseLaw> {
         let read = capture.camera.read_noise_e.unwrap_or(0.0);
         let known = |k: usize| self.known[k].or_else(|| self.own(k));
         let of_any = || {
@@ -158,23 +114,28 @@ impl Fringes {
                 .or_else(|| NoiseLaw::estimate(&self.differences, self.black))
                 .unwrap_or(NoiseLaw::from_sensor(TYPICAL_GAIN, read, self.black))
         };
-        (0..self.stacks.len()).map(|k| known(k).unwrap_or_else(of_any)).collect()
+        List::of((0..self.stacks.len()).map(|k| known(k).unwrap_or_else(of_any)))
     }
 
     /// The wrapped phases of every set that is kept. `noise`: one law per set of the capture.
-    pub fn phases(&self, noise: &[NoiseLaw], limits: &Limits) -> Result<Vec<PhaseMap>, fringe::Error> {
+    pub fn phases(&self, noise: &[NoiseLaw], limits: &Limits) -> Result<List<PhaseMap>, fringe::Error> {
+        let mut maps = List::new();
         let kept = self.stacks.iter().zip(noise).filter(|(s, _)| self.only.is_none_or(|axis| axis == s.set().axis));
-        let decoded = kept.map(|(stack, noise)| fringe::decode(stack, noise, limits));
-        Ok(decoded.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
+        for (stack, noise) in kept {
+            let mut decoded = fringe::decode(stack, noise, limits)?;
+            maps.append(&mut decoded);
+        }
+        Ok(maps)
     }
 
     /// The wrapped phases of every set where they were wanted; what was decoded as it came is moved out.
-    pub fn take_phases(&mut self, noise: &[NoiseLaw]) -> Result<Vec<PhaseMap>, fringe::Error> {
-        let phases = |k: usize| match self.decoded[k].take() {
-            Some(map) => Ok(map),
-            None => self.decode(k, &noise[k]),
-        };
-        (0..noise.len()).map(phases).collect()
+    pub fn take_phases(&mut self, noise: &[NoiseLaw]) -> Result<List<PhaseMap>, fringe::Error> {
+        let mut maps = List::new();
+        for (k, noise) in noise.iter().enumerate() {
+            let decoded = self.decoded[k].take().map_or_else(|| self.decode(k, noise), Ok);
+            maps.push(decoded?);
+        }
+        Ok(maps)
     }
 
     /// Where phases were wanted, row by row; empty: everywhere.
@@ -190,20 +151,9 @@ pub fn coordinates(
     axis: Axis,
     limits: &Limits,
 ) -> Result<CoordinateMap, fringe::Error> {
-    coordinates_reusing(Vec::new(), capture, phases, axis, limits)
-}
-
-/// As [`coordinates`], in the buffer of `pixels`.
-pub fn coordinates_reusing(
-    pixels: Vec<Coordinate>,
-    capture: &Capture,
-    phases: &[PhaseMap],
-    axis: Axis,
-    limits: &Limits,
-) -> Result<CoordinateMap, fringe::Error> {
     let extent = match axis {
         Axis::Column => capture.projector.width,
         Axis::Row => capture.projector.height,
     };
-    fringe::unwrap_reusing(pixels, phases, axis, extent, limits)
+    fringe::unwrap(phases, axis, extent, limits)
 }

@@ -12,10 +12,10 @@ pub use shoot::{Described, Devices, Light, SETS, ShootError, Shooting, Shots, pi
 
 pub use order::check_order;
 
-pub use fringes::{Fringes, TYPICAL_GAIN, coordinates, coordinates_reusing};
+pub use fringes::{Fringes, TYPICAL_GAIN, coordinates};
 
 use crate::document::{self, Check};
-use crate::fringe::Axis;
+use crate::fringe::{self, Axis};
 use crate::image::{Image, MAX_SIDE, PngError, PngHeader, read_png, read_png_header};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -24,8 +24,6 @@ use std::path::{Path, PathBuf};
 pub const FILE: &str = "capture.toml";
 /// Fewer columns or rows show nothing that can be measured.
 const MIN_SIDE: usize = 16;
-/// More sets than any scheme of unwrapping and exposures needs.
-const MAX_SETS: usize = 64;
 
 /// Why a capture cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -290,7 +288,7 @@ impl Capture {
         optional("images.red_gain_dn_per_e", self.images.red_gain_dn_per_e)?;
         check.within("projector.width", self.projector.width, MIN_SIDE..=MAX_SIDE)?;
         check.within("projector.height", self.projector.height, MIN_SIDE..=MAX_SIDE)?;
-        check.within("number of [[fringes]]", self.fringes.len(), 1..=MAX_SETS)?;
+        check.within("number of [[fringes]]", self.fringes.len(), 1..=fringe::MAX_SETS)?;
         for (s, set) in self.fringes.iter().enumerate() {
             let key = |name: &str| format!("fringes[{s}].{name}");
             let across = match set.axis {

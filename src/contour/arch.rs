@@ -2,6 +2,7 @@
 //! Not here: which way is up: callers turn the points so, from the vehicle's pose.
 
 use crate::geometry::robust::{Weights, start, truncated};
+use crate::lent::List;
 use nalgebra::{Matrix2, SMatrix, SVector};
 use std::iter::repeat_n;
 
@@ -47,11 +48,11 @@ pub enum NoArchTop {
 /// One parabola in 100 is taken for a cubic, then with an error along of 3 of the cubic's sigmas; a stricter choice
 /// would hide real cubics of that size instead.
 pub fn arch_top(points: &[(f64, f64, f64)], centre: f64, window: f64) -> Result<ArchTop, NoArchTop> {
-    let inside: Vec<_> = points.iter().filter(|p| (p.0 - centre).abs() <= window).copied().collect();
+    let inside = List::of(points.iter().filter(|p| (p.0 - centre).abs() <= window).copied());
     if inside.len() < 10 {
         return Err(NoArchTop::TooFewPoints { got: inside.len() });
     }
-    let scaled: Vec<_> = inside.iter().map(|(s, h, v)| ((s - centre) / window, *h, *v)).collect();
+    let scaled = List::of(inside.iter().map(|(s, h, v)| ((s - centre) / window, *h, *v)));
     let fit = |order| Polynomial::fit(&scaled, order).ok_or(NoArchTop::Degenerate);
     let fits = [fit(2)?, fit(3)?, fit(4)?];
     // One scale for all orders: that of the most flexible, as a too stiff curve would excuse itself by its own scatter.

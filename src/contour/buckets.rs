@@ -1,29 +1,30 @@
 //! Points by place: which of many lie near another. In: points in a plane. Out: indices. Not here: what they are.
 
+use crate::lent::List;
 use nalgebra::Vector2;
 
 /// Points in square cells, row by row.
-pub(super) struct Buckets {
+pub(crate) struct Buckets {
     corner: Vector2<f64>,
     cell: f64,
     columns: usize,
     rows: usize,
     /// Where the indices of each cell begin; one more than there are cells.
-    start: Vec<u32>,
-    indices: Vec<u32>,
+    start: List<u32>,
+    indices: List<u32>,
 }
 
 impl Buckets {
     /// Of `points`, in cells of `cell` or as much larger as keeps them few.
-    pub(super) fn new(points: impl Iterator<Item = Vector2<f64>> + Clone, cell: f64) -> Self {
+    pub(crate) fn new(points: impl Iterator<Item = Vector2<f64>> + Clone, cell: f64) -> Self {
         let low = points.clone().fold(Vector2::repeat(f64::INFINITY), |a, p| a.inf(&p));
         let high = points.clone().fold(Vector2::repeat(f64::NEG_INFINITY), |a, p| a.sup(&p));
         let extent = (high - low).map(|v| if v > 0.0 { v } else { 0.0 });
         let n = points.clone().count();
         let cell = cell.max((extent.x * extent.y / (16.0 * n as f64 + 4e4)).sqrt()).max(extent.max() / 1e4);
         let (columns, rows) = ((extent.x / cell) as usize + 1, (extent.y / cell) as usize + 1);
-        let mut new =
-            Self { corner: low, cell, columns, rows, start: vec![0; columns * rows + 1], indices: vec![0; n] };
+        let (start, indices) = (List::filled(0, columns * rows + 1), List::filled(0, n));
+        let mut new = Self { corner: low, cell, columns, rows, start, indices };
         for p in points.clone() {
             let k = new.cell_of(&p);
             new.start[k + 1] += 1;
@@ -31,7 +32,7 @@ impl Buckets {
         for k in 1..new.start.len() {
             new.start[k] += new.start[k - 1];
         }
-        let mut next = new.start.clone();
+        let mut next = List::of(new.start.iter().copied());
         for (i, p) in (0..).zip(points) {
             let k = new.cell_of(&p);
             new.indices[next[k] as usize] = i;
@@ -46,7 +47,7 @@ impl Buckets {
     }
 
     /// All points within `radius` of `p`, and some that are farther away.
-    pub(super) fn near(&self, p: Vector2<f64>, radius: f64) -> impl Iterator<Item = usize> {
+    pub(crate) fn near(&self, p: Vector2<f64>, radius: f64) -> impl Iterator<Item = usize> {
         let radius = radius * (1.0 + 1e-9) + 1e-9;
         let range = |at: f64, n: usize| {
             let (first, last) = ((at - radius) / self.cell, (at + radius) / self.cell);

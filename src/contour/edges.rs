@@ -5,6 +5,7 @@
 //! for edge detection with sub-pixel accuracy", INRIA RR-2724, 1995. Refined by fitting blurred steps to raw pixels.
 
 use crate::image::{Image, Window};
+use crate::lent::List;
 use crate::optics::Pixel;
 use nalgebra::Vector2;
 use std::f64::consts::{PI, SQRT_2};
@@ -44,8 +45,8 @@ impl Default for EdgeFilter {
 
 /// A smoothing kernel and its derivative, `-radius..=radius`.
 struct Kernels {
-    smooth: Vec<f32>,
-    derive: Vec<f32>,
+    smooth: List<f32>,
+    derive: List<f32>,
 }
 
 impl Kernels {
@@ -55,28 +56,28 @@ impl Kernels {
         let gauss = |x: f64| (-0.5 * (x / sigma).powi(2)).exp();
         let cdf = |x: f64| step(x / sigma).0;
         let taps = || (-radius..=radius).map(f64::from);
-        let smooth: Vec<f64> = taps().map(|x| cdf(x + 0.5) - cdf(x - 0.5)).collect();
-        let derive: Vec<f64> = taps().map(|x| gauss(x - 0.5) - gauss(x + 0.5)).collect();
+        let smooth = List::of(taps().map(|x| cdf(x + 0.5) - cdf(x - 0.5)));
+        let derive = List::of(taps().map(|x| gauss(x - 0.5) - gauss(x + 0.5)));
         let (gain, slope) = (smooth.iter().sum::<f64>(), taps().zip(&derive).map(|(x, d)| x * d).sum::<f64>());
         Self {
-            smooth: smooth.iter().map(|v| (v / gain) as f32).collect(),
-            derive: derive.iter().map(|v| (v / slope) as f32).collect(),
+            smooth: List::of(smooth.iter().map(|v| (v / gain) as f32)),
+            derive: List::of(derive.iter().map(|v| (v / slope) as f32)),
         }
     }
 
     /// Variance of the gradient, and of the difference of two gradients 2 px apart across the edge, for unit pixel noise.
     fn noise(&self) -> (f64, f64) {
         let energy = |k: &[f32]| k.iter().map(|v| f64::from(v * v)).sum::<f64>();
-        let padded = [&[0.0; 2], &self.derive[..], &[0.0; 2]].concat();
-        let apart: Vec<f32> = padded.windows(3).map(|w| w[2] - w[0]).collect();
+        let padded = List::of([&[0.0; 2], &self.derive[..], &[0.0; 2]].into_iter().flatten().copied());
+        let apart = List::of(padded.windows(3).map(|w| w[2] - w[0]));
         (energy(&self.derive) * energy(&self.smooth), energy(&apart) * energy(&self.smooth))
     }
 }
 
 /// A gradient, row by row, grey levels per px: its parts along x and y.
 struct Gradient {
-    x: Vec<f32>,
-    y: Vec<f32>,
+    x: List<f32>,
+    y: List<f32>,
 }
 
 impl Gradient {
@@ -84,8 +85,8 @@ impl Gradient {
     fn new(image: &Image<f32>, window: Window, kernels: &Kernels) -> Self {
         let (width, radius) = (window.width, kernels.smooth.len() / 2);
         let rows = window.height + 2 * radius;
-        let (mut derived, mut smoothed) = (vec![0f32; rows * width], vec![0f32; rows * width]); // along rows
-        let mut padded = vec![0.0; width + 2 * radius];
+        let [mut derived, mut smoothed] = [(); 2].map(|()| List::filled(0f32, rows * width)); // along rows
+        let mut padded = List::filled(0.0, width + 2 * radius);
         for (r, (d, s)) in derived.chunks_exact_mut(width).zip(smoothed.chunks_exact_mut(width)).enumerate() {
             let row = image.row((window.y + r).saturating_sub(radius).min(image.height - 1));
             for (i, v) in padded.iter_mut().enumerate() {
@@ -96,7 +97,7 @@ impl Gradient {
                 add(s, &padded[k..], *of_s);
             }
         }
-        let (mut x, mut y) = (vec![0f32; window.height * width], vec![0f32; window.height * width]);
+        let [mut x, mut y] = [(); 2].map(|()| List::filled(0f32, window.height * width));
         for (r, (x, y)) in x.chunks_exact_mut(width).zip(y.chunks_exact_mut(width)).enumerate() {
             for (k, (of_d, of_s)) in kernels.derive.iter().zip(&kernels.smooth).enumerate() {
                 add(x, &derived[(r + k) * width..], *of_s);
@@ -126,17 +127,17 @@ pub fn find_edges(
     window: Window,
     filter: &EdgeFilter,
     variance: impl Fn(f64) -> f64,
-) -> Vec<Edgel> {
+) -> List<Edgel> {
     assert!(window.x + window.width <= image.width && window.y + window.height <= image.height, "window in image");
     let kernels = Kernels::new(filter.sigma);
     let (of_gradient, of_difference) = kernels.noise();
     let gradient = Gradient::new(image, window, &kernels);
-    let strength: Vec<f32> = gradient.x.iter().zip(&gradient.y).map(|(x, y)| (x * x + y * y).sqrt()).collect();
+    let strength = List::of(gradient.x.iter().zip(&gradient.y).map(|(x, y)| (x * x + y * y).sqrt()));
     let width = window.width;
     const NONE: u32 = u32::MAX;
-    let mut found: Vec<(Edgel, bool)> = Vec::new(); // whether it is kept: an edge may begin here, or goes on
-    let mut at = vec![NONE; strength.len()]; // by pixel: which of them
-    let mut stack = Vec::new();
+    let mut found: List<(Edgel, bool)> = List::new(); // whether it is kept: an edge may begin here, or goes on
+    let mut at = List::filled(NONE, strength.len()); // by pixel: which of them
+    let mut stack = List::new();
     for y in 1..window.height.saturating_sub(1) {
         for x in 1..width.saturating_sub(1) {
             let i = y * width + x;
@@ -171,7 +172,7 @@ pub fn find_edges(
         let rows = [i - width, i, i + width];
         stack.extend(rows.iter().flat_map(|i| i - 1..=i + 1).filter(|i| at[*i] != NONE));
     }
-    found.into_iter().filter(|(_, kept)| *kept).map(|(edgel, _)| edgel).collect()
+    List::of(found.iter().filter(|(_, kept)| *kept).map(|(edgel, _)| *edgel))
 }
 
 /// The offset (px) from pixel `i` to the maximum of `strength` along the gradient `g`, and the curvature there
@@ -224,18 +225,18 @@ pub fn cross_level(
     reach: f64,
     body: impl Fn(&Pixel) -> f64,
     variance: impl Fn(f64) -> f64,
-) -> Vec<Edgel> {
+) -> List<Edgel> {
     let mut profile = Profile::new(reach);
-    edgels.iter().filter_map(|e| crossing(image, e, &mut profile, body(&e.position), &variance)).collect()
+    List::of(edgels.iter().filter_map(|e| crossing(image, e, &mut profile, body(&e.position), &variance)))
 }
 
 /// The grey levels across one edge, and what is the same of all of them.
 struct Profile {
     reach: f64,
     /// Smoothing, of sum 1.
-    kernel: Vec<f32>,
-    raw: Vec<f32>,
-    values: Vec<f64>,
+    kernel: List<f32>,
+    raw: List<f32>,
+    values: List<f64>,
 }
 
 impl Profile {
@@ -243,7 +244,7 @@ impl Profile {
         let tail = (3.0 * SMOOTHING / STEP) as usize;
         let taps = (0..=2 * tail).map(|k| (-0.5 * ((k as f64 - tail as f64) * STEP / SMOOTHING).powi(2)).exp());
         let gain: f64 = taps.clone().sum();
-        Self { reach, kernel: taps.map(|v| (v / gain) as f32).collect(), raw: Vec::new(), values: Vec::new() }
+        Self { reach, kernel: List::of(taps.map(|v| (v / gain) as f32)), raw: List::new(), values: List::new() }
     }
 
     /// Steps to each side of the edge.
@@ -469,7 +470,7 @@ mod tests {
         }
     }
 
-    fn edges(image: &Image<f32>) -> Vec<Edgel> {
+    fn edges(image: &Image<f32>) -> List<Edgel> {
         find_edges(image, Window::whole(48, 48), &EdgeFilter::default(), |_| SIGMA * SIGMA)
     }
 
@@ -546,7 +547,7 @@ mod tests {
             for _ in 0..20 {
                 let mut image = exact.clone();
                 image.pixels.iter_mut().for_each(|v| *v += (SIGMA * noise.gauss()) as f32);
-                for e in edges(&image) {
+                for e in &edges(&image) {
                     let near = truth.iter().find(|t| (t.position - e.position).norm() < 0.3);
                     ratios.extend(near.map(|t| (e.position - t.position).dot(&t.normal) / e.variance.sqrt()));
                 }
@@ -562,7 +563,7 @@ mod tests {
         let mut noise = Noise::new(3);
         let mut image = Image::filled(200, 200, 80.0);
         image.pixels.iter_mut().for_each(|v| *v += (SIGMA * noise.gauss()) as f32);
-        assert_eq!(find_edges(&image, Window::whole(200, 200), &EdgeFilter::default(), |_| SIGMA * SIGMA), []);
+        assert!(find_edges(&image, Window::whole(200, 200), &EdgeFilter::default(), |_| SIGMA * SIGMA).is_empty());
     }
 
     #[test]

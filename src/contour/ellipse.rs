@@ -6,6 +6,7 @@
 //! axes and angle would be singular at a circle, M is not.
 
 use crate::geometry::robust::{Weights, start, truncated};
+use crate::lent::List;
 use nalgebra::{Matrix2, Matrix3, Matrix5, SMatrix, SymmetricEigen, Vector2, Vector3, Vector5};
 use std::f64::consts::TAU;
 use std::ops::RangeInclusive;
@@ -182,7 +183,7 @@ pub fn fit_ellipse(points: &[(Vector2<f64>, f64)], limits: &EllipseLimits) -> Re
 /// The weighted normal equations at an ellipse.
 #[derive(Default)]
 struct System {
-    rows: Vec<Row>,
+    rows: List<Row>,
     weights: Weights,
     information: Matrix5<f64>,
     gradient: Vector5<f64>,

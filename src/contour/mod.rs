@@ -11,6 +11,7 @@ mod outline;
 mod search;
 
 pub use arch::{ArchTop, NoArchTop, arch_top};
+pub(crate) use buckets::Buckets;
 pub(crate) use edges::step;
 pub use edges::{EdgeFilter, Edgel, cross_level, find_edges};
 pub use ellipse::{Ellipse, EllipseFit, EllipseLimits, NoEllipse, fit_ellipse};

@@ -7,6 +7,7 @@
 
 use super::buckets::Buckets;
 use crate::geometry::robust::Weights;
+use crate::lent::List;
 use nalgebra::{Matrix3, Rotation2, SymmetricEigen, Vector2, Vector3};
 
 /// A measured point of a contour.
@@ -73,9 +74,9 @@ pub struct Alignment {
     /// Of (shift x, shift y, theta), mm² and rad², from the stated variances alone; zero for a given rotation.
     pub covariance: Matrix3<f64>,
     /// The measured points that the alignment rests on, by index.
-    pub used: Vec<usize>,
+    pub used: List<usize>,
     /// Of each of them from the template, along its normal, mm.
-    pub distances: Vec<f64>,
+    pub distances: List<f64>,
     /// Share of the template with such a point within the last capture distance, 0..=1.
     pub share: f64,
     /// Weighted root mean square of the distances, mm.
@@ -164,12 +165,12 @@ pub fn align(
     }
     let squares: f64 = system.pairs.iter().map(|p| p.weight * p.distance * p.distance).sum();
     let weight: f64 = system.pairs.iter().map(|p| p.weight).sum();
-    let (used, distances) = system.pairs.iter().filter(|p| p.weight > 0.0).map(|p| (p.measured, p.distance)).unzip();
+    let used = || system.pairs.iter().filter(|p| p.weight > 0.0);
     Ok(Alignment {
         motion,
         covariance,
-        used,
-        distances,
+        used: List::of(used().map(|p| p.measured)),
+        distances: List::of(used().map(|p| p.distance)),
         share,
         rms: (squares / weight).sqrt(),
         scale: system.weights.scale,
@@ -198,10 +199,10 @@ struct System<'a> {
     measured: &'a [ContourPoint],
     rotate: bool,
     /// The template, turned.
-    arms: Vec<TemplatePoint>,
+    arms: List<TemplatePoint>,
     /// By measured point: the nearest of the template when last looked, which few others can be nearer than.
-    nearest: Vec<Option<usize>>,
-    pairs: Vec<Pair>,
+    nearest: List<Option<usize>>,
+    pairs: List<Pair>,
     weights: Weights,
     information: Matrix3<f64>,
     gradient: Vector3<f64>,
@@ -217,9 +218,9 @@ impl<'a> System<'a> {
             places,
             measured,
             rotate,
-            arms: Vec::with_capacity(template.len()),
-            nearest: vec![None; measured.len()],
-            pairs: Vec::with_capacity(measured.len()),
+            arms: List::new(),
+            nearest: List::filled(None, measured.len()),
+            pairs: List::new(),
             weights: Weights::default(),
             information: Matrix3::zeros(),
             gradient: Vector3::zeros(),
@@ -250,7 +251,7 @@ impl<'a> System<'a> {
             Some(Pair { measured: i, distance, sigma, weight: 0.0, jacobian, matched: q })
         };
         self.pairs.clear();
-        self.pairs.extend(self.measured.iter().zip(&mut self.nearest).enumerate().filter_map(pair));
+        self.pairs.extend(self.measured.iter().zip(&mut *self.nearest).enumerate().filter_map(pair));
         let wanted = if rotate { 9 } else { 6 };
         if self.pairs.len() < wanted {
             return Err(NoAlignment::TooFewPoints { got: self.pairs.len(), wanted });
@@ -300,7 +301,7 @@ impl<'a> System<'a> {
 
     fn share(&self, motion: &Motion, capture: f64) -> f64 {
         let used = self.pairs.iter().filter(|p| p.weight > 0.0);
-        let rests: Vec<_> = used.map(|p| self.measured[p.measured].position).collect();
+        let rests = List::of(used.map(|p| self.measured[p.measured].position));
         let places = Buckets::new(rests.iter().copied(), capture);
         let seen = |t: &&TemplatePoint| {
             let q = motion.apply(&t.position);

@@ -6,9 +6,9 @@
 //! spread over their neighbourhood (Hinterstoisser et al., PAMI 34 (2012) 876).
 
 use crate::image::Image;
+use crate::lent::{Lent, List, side_by_side};
 use crate::optics::Pixel;
 use nalgebra::Vector2;
-use rayon::prelude::*;
 
 /// One point of a contour: where it lies from the contour's anchor, and the direction towards bright.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,9 +35,9 @@ pub struct GradientField {
     width: usize,
     height: usize,
     /// Unit vectors towards bright; zero where the gradient is weak.
-    direction: Vec<Vector2<f32>>,
+    direction: List<Vector2<f32>>,
     /// Which of eight directions occur within `SPREAD` pixels.
-    nearby: Vec<u8>,
+    nearby: List<u8>,
 }
 
 const SPREAD: usize = 2;
@@ -48,7 +48,7 @@ impl GradientField {
     pub fn new(image: &Image<f32>, factor: usize, threshold: f32) -> Self {
         let reduced = reduce(image, factor);
         let (width, height) = (reduced.width, reduced.height);
-        let mut direction = vec![Vector2::zeros(); width * height];
+        let mut direction = List::filled(Vector2::zeros(), width * height);
         for y in 1..height.saturating_sub(1) {
             for x in 1..width.saturating_sub(1) {
                 let g = Vector2::new(
@@ -61,7 +61,7 @@ impl GradientField {
                 }
             }
         }
-        let mut nearby = vec![0u8; width * height];
+        let mut nearby = List::filled(0u8, width * height);
         for y in 0..height {
             for x in 0..width {
                 let d = direction[y * width + x];
@@ -97,15 +97,15 @@ impl GradientField {
 
     /// The `keep` best matches of any of the `attitudes` of one shape, best first, at least `apart` px from
     /// each other. Points outside the image count as not found.
-    pub fn search(&self, attitudes: &[Vec<ShapePoint>], keep: usize, apart: f64) -> Vec<Match> {
-        let mut candidates: Vec<(u32, usize, usize, usize)> = attitudes
-            .par_iter()
-            .enumerate()
-            .flat_map_iter(|(k, shape)| self.candidates(shape).into_iter().map(move |(n, x, y)| (n, x, y, k)))
-            .collect();
+    pub fn search(&self, attitudes: &[List<ShapePoint>], keep: usize, apart: f64) -> List<Match> {
+        let of_each = side_by_side(attitudes.len(), |k| self.candidates(&attitudes[k]));
+        let mut candidates = List::new();
+        for (k, found) in of_each.iter().enumerate() {
+            candidates.extend(found.iter().map(|&(n, x, y)| (n, x, y, k)));
+        }
         candidates.sort_unstable_by_key(|&(n, x, y, k)| (std::cmp::Reverse(n), y, x, k));
         let apart_cells = apart / self.factor as f64;
-        let mut seeds: Vec<(usize, usize)> = Vec::new();
+        let mut seeds: List<(usize, usize)> = List::new();
         for &(_, x, y, _) in &candidates {
             let far = |s: &(usize, usize)| (s.0 as f64 - x as f64).hypot(s.1 as f64 - y as f64) > 0.5 * apart_cells;
             if seeds.iter().all(far) {
@@ -115,12 +115,13 @@ impl GradientField {
                 }
             }
         }
-        let mut matches: Vec<Match> = seeds.par_iter().filter_map(|&(x, y)| self.refine(attitudes, x, y)).collect();
+        let refined = side_by_side(seeds.len(), |k| self.refine(attitudes, seeds[k].0, seeds[k].1));
+        let mut matches = List::of(refined.iter().flatten().copied());
         matches.sort_by(|a, b| b.score.total_cmp(&a.score));
-        let mut best: Vec<Match> = Vec::new();
-        for m in matches {
+        let mut best: List<Match> = List::new();
+        for m in &matches {
             if best.len() < keep && best.iter().all(|b| (b.at - m.at).norm() > apart) {
-                best.push(m);
+                best.push(*m);
             }
         }
         best
@@ -128,16 +129,13 @@ impl GradientField {
 
     /// Per pixel of every other row: how many of the shape's points find their direction nearby, where at least
     /// half do.
-    fn candidates(&self, shape: &[ShapePoint]) -> Vec<(u32, usize, usize)> {
-        let points: Vec<(isize, isize, u8)> = shape
-            .iter()
-            .map(|p| {
-                let o = p.offset / self.factor as f64;
-                (o.x.round() as isize, o.y.round() as isize, bits(p.direction, false))
-            })
-            .collect();
-        let mut counts = vec![0u16; self.width];
-        let mut found = Vec::new();
+    fn candidates(&self, shape: &[ShapePoint]) -> List<(u32, usize, usize)> {
+        let points = List::of(shape.iter().map(|p| {
+            let o = p.offset / self.factor as f64;
+            (o.x.round() as isize, o.y.round() as isize, bits(p.direction, false))
+        }));
+        let mut counts = List::filled(0u16, self.width);
+        let mut found = List::new();
         for y in (0..self.height).step_by(2) {
             counts.fill(0);
             for &(dx, dy, bit) in &points {
@@ -161,7 +159,7 @@ impl GradientField {
         found
     }
 
-    fn refine(&self, attitudes: &[Vec<ShapePoint>], x: usize, y: usize) -> Option<Match> {
+    fn refine(&self, attitudes: &[List<ShapePoint>], x: usize, y: usize) -> Option<Match> {
         let reach = 3i32;
         let mut best: Option<Match> = None;
         for shape in attitudes {
@@ -224,9 +222,9 @@ fn bits(d: Vector2<f64>, generous: bool) -> u8 {
 }
 
 /// The mean of each `factor` × `factor` block; what does not fill a block is left out.
-fn reduce(image: &Image<f32>, factor: usize) -> Image<f32> {
+fn reduce(image: &Image<f32>, factor: usize) -> Lent<Image<f32>> {
     let (width, height) = (image.width / factor, image.height / factor);
-    let mut out = Image::filled(width, height, 0.0);
+    let mut out = Image::lent(width, height, 0.0);
     let scale = 1.0 / (factor * factor) as f32;
     for y in 0..height {
         let row = out.row_mut(y);
@@ -264,11 +262,11 @@ mod tests {
         let shape = taught.points(&Pixel::new(150.0, 180.0), 60.0);
         assert!(shape.len() > 40);
         let moved = GradientField::new(&plate(251.0, 133.0), 4, 8.0);
-        let found = moved.search(std::slice::from_ref(&shape), 3, 30.0);
+        let found = moved.search(&[List::of(shape.clone())], 3, 30.0);
         assert!(found[0].score > 0.9 && (found[0].at - Pixel::new(251.0, 133.0)).norm() < 4.0, "{found:?}");
         assert!(found.get(1).is_none_or(|second| second.score < 0.7), "{found:?}");
         let blank = GradientField::new(&Image::filled(400, 300, 120.0), 4, 8.0);
-        assert!(blank.search(&[shape], 3, 30.0).is_empty());
+        assert!(blank.search(&[List::of(shape)], 3, 30.0).is_empty());
     }
 
     #[test]
@@ -276,7 +274,7 @@ mod tests {
         let mut inverted = plate(150.0, 180.0);
         inverted.pixels.iter_mut().for_each(|v| *v = 130.0 - *v);
         let shape = GradientField::new(&plate(150.0, 180.0), 4, 8.0).points(&Pixel::new(150.0, 180.0), 60.0);
-        let found = GradientField::new(&inverted, 4, 8.0).search(&[shape], 1, 30.0);
+        let found = GradientField::new(&inverted, 4, 8.0).search(&[List::of(shape)], 1, 30.0);
         assert!(found.first().is_none_or(|m| m.score < 0.75), "{found:?}");
     }
 }

@@ -4,9 +4,9 @@
 //! heterodyne interferometry", Optical Engineering 23 (1984) 350. Not here: which fringe it is.
 
 use super::arctangent::arctangent;
-use super::stack::Planes;
 use super::{Error, NoiseLaw, PatternSet, Stack};
 use crate::image::Window;
+use crate::lent::List;
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 use std::sync::OnceLock;
@@ -86,46 +86,43 @@ pub struct PhaseMap {
     /// Where in the image.
     pub window: Window,
     /// `window.width * window.height` phases.
-    pub pixels: Vec<Phase>,
+    pub pixels: List<Phase>,
 }
 
 /// One map per window of `stack`. The variance propagates `noise` at each step's fitted level through the fit; with
 /// all of four steps or more it is 2σ_I²/(N·B²) with σ_I² at the mean level. Errors where steps are missing.
-pub fn decode(stack: &Stack, noise: &NoiseLaw, limits: &Limits) -> Result<Vec<PhaseMap>, Error> {
-    let empty = |p: &Planes| PhaseMap { set: *stack.set(), window: p.window, pixels: Vec::new() };
-    let mut maps: Vec<PhaseMap> = stack.complete()?.iter().map(empty).collect();
-    for (k, map) in maps.iter_mut().enumerate() {
-        decode_where(stack, k, noise, limits, &[], map)?;
+pub fn decode(stack: &Stack, noise: &NoiseLaw, limits: &Limits) -> Result<List<PhaseMap>, Error> {
+    let mut maps = List::new();
+    for k in 0..stack.complete()?.len() {
+        maps.push(decode_where(stack, k, noise, limits, &[])?);
     }
     Ok(maps)
 }
 
-/// As [`decode`], of window `k` alone into `map`, whose buffer is kept, and only where `wanted`, row by row: all else is
-/// left weak. An empty `wanted` wants everything. Panics if there is no such window or `wanted` is of another size.
+/// As [`decode`], of window `k` alone, and only where `wanted`, row by row: all else is left weak. An empty `wanted`
+/// wants everything. Panics if there is no such window or `wanted` is of another size.
 pub fn decode_where(
     stack: &Stack,
     k: usize,
     noise: &NoiseLaw,
     limits: &Limits,
     wanted: &[bool],
-    map: &mut PhaseMap,
-) -> Result<(), Error> {
+) -> Result<PhaseMap, Error> {
     let (set, planes) = (*stack.set(), &stack.complete()?[k]);
     let all = wanted.is_empty();
     assert!(all || wanted.len() == planes.len(), "what is wanted is of another window");
-    (map.set, map.window) = (set, planes.window);
-    map.pixels.resize(planes.len(), Phase::NONE);
+    let mut pixels = List::stale(Phase::NONE, planes.len());
     let fits = Fits::new(set, stack.white_level());
-    map.pixels.par_chunks_mut(LANES).with_min_len(4).enumerate().for_each(|(block, phases)| {
+    pixels.par_chunks_mut(LANES).with_min_len(4).enumerate().for_each(|(block, phases)| {
         let range = block * LANES..block * LANES + phases.len();
         let wanted = if all { wanted } else { &wanted[range.clone()] };
         if !all && !wanted.contains(&true) {
             return phases.fill(Phase::NONE);
         }
-        fits.phases(planes.part(&set, range), noise, limits, phases);
+        fits.phases(planes.part(range), noise, limits, phases);
         phases.iter_mut().zip(wanted).filter(|(_, wanted)| !**wanted).for_each(|(phase, _)| *phase = Phase::NONE);
     });
-    Ok(())
+    Ok(PhaseMap { set, window: planes.window, pixels })
 }
 
 impl Phase {
@@ -145,16 +142,14 @@ pub(super) struct Fits {
     set: PatternSet,
     white_level: u16,
     /// Sine and cosine of each step's shift.
-    shifts: Vec<(f64, f64)>,
-    by_mask: Vec<OnceLock<Option<Box<Fit>>>>,
+    shifts: heapless::Vec<(f64, f64), MAX_STEPS>,
+    by_mask: List<OnceLock<Option<Fit>>>,
 }
 
 /// I_k = w_k·x, with w_k = (1, cos θ_k, −sin θ_k) and x = (A, B·cos φ, B·sin φ).
 struct Fit {
-    /// (Σ w·wᵀ)⁻¹.
+    /// (Σ w·wᵀ)⁻¹; times w_k it is the weight of step k in the answer.
     inverse: Matrix3<f64>,
-    /// Per step used: w_k, and its weight in the answer: x = Σ I_k·h_k.
-    steps: Vec<(Vector3<f64>, Vector3<f64>)>,
 }
 
 /// What the fit of one pixel says.
@@ -166,21 +161,25 @@ struct Sine {
 impl Fits {
     pub(super) fn new(set: PatternSet, white_level: u16) -> Self {
         let shifts = (0..set.steps).map(|step| set.shift(step).sin_cos()).collect();
-        Self { set, white_level, shifts, by_mask: (0..1 << set.steps).map(|_| OnceLock::new()).collect() }
+        Self { set, white_level, shifts, by_mask: List::of((0..1 << set.steps).map(|_| OnceLock::new())) }
+    }
+
+    /// w_k of the steps that are not `saturated`.
+    fn used(&self, saturated: u16) -> impl Iterator<Item = Vector3<f64>> + Clone {
+        let used = (0..).zip(&self.shifts).filter(move |(step, _)| saturated >> step & 1 == 0);
+        used.map(|(_, (sin, cos))| Vector3::new(1.0, *cos, -sin))
     }
 
     fn fit(&self, saturated: u16) -> Option<&Fit> {
         let make = || {
-            let used = (0..).zip(&self.shifts).filter(|(step, _)| saturated >> step & 1 == 0);
-            let used: Vec<_> = used.map(|(_, (sin, cos))| Vector3::new(1.0, *cos, -sin)).collect();
-            if used.len() < 3 {
+            let used = self.used(saturated);
+            if used.clone().count() < 3 {
                 return None;
             }
-            let normal: Matrix3<f64> = used.iter().map(|w| w * w.transpose()).sum();
-            let inverse = normal.try_inverse()?;
-            Some(Box::new(Fit { inverse, steps: used.into_iter().map(|w| (w, inverse * w)).collect() }))
+            let normal: Matrix3<f64> = used.map(|w| w * w.transpose()).sum();
+            Some(Fit { inverse: normal.try_inverse()? })
         };
-        self.by_mask[usize::from(saturated)].get_or_init(make).as_deref()
+        self.by_mask[usize::from(saturated)].get_or_init(make).as_ref()
     }
 
     /// Level and residual variance (DN², mean over the degrees of freedom) of an unsaturated pixel, whose samples of each
@@ -307,13 +306,13 @@ impl Fits {
             return Phase { state: State::Weak, ..seen };
         }
         let gradient = Vector3::new(0.0, -x[2], x[1]) / (modulation * modulation); // of atan2(x2, x1)
-        let share = |(w, h): &(Vector3<f64>, Vector3<f64>)| gradient.dot(h).powi(2) * noise.variance(w.dot(&x));
-        let variance: f64 = fit.steps.iter().map(share).sum();
+        let share = |w: Vector3<f64>| gradient.dot(&(fit.inverse * w)).powi(2) * noise.variance(w.dot(&x));
+        let variance: f64 = self.used(saturated).map(share).sum();
         // A few neighbouring steps tell a sine badly: no worse than a full set of the least modulation.
         if variance * limits.modulation_sigmas.powi(2) > 1.0 {
             return Phase { state: State::Weak, ..seen };
         }
-        let freedom = fit.steps.len() as f64 - 3.0;
+        let freedom = self.used(saturated).count() as f64 - 3.0;
         let spread = one_sample + (limits.harmonics * modulation).powi(2);
         if freedom > 0.0 && residual > spread * implausible_chi2(freedom) {
             return Phase { state: State::NotSine, ..seen };

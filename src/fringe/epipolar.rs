@@ -8,9 +8,9 @@
 use super::{Axis, DepthMap, PhaseMap, State, projector_coordinate};
 use crate::geometry::{Point3, frame, robust};
 use crate::image::Window;
+use crate::lent::{List, side_by_side};
 use crate::optics::{Pixel, Rig};
 use nalgebra::Vector3;
-use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// The mean over one cell of the image.
@@ -37,15 +37,17 @@ const MIN_SHARE: f64 = 0.3;
 
 /// Residuals of the phases `across` against `depth`, which comes from the projector's other axis. Means are robust
 /// (biweight): mirrored fringes and mixed pixels at edges do not move them. Panics if the windows differ.
-pub fn epipolar_cells(rig: &Rig, depth: &DepthMap<'_>, across: &PhaseMap) -> Vec<EpipolarCell> {
+pub fn epipolar_cells(rig: &Rig, depth: &DepthMap<'_>, across: &PhaseMap) -> List<EpipolarCell> {
     let window = depth.rays.window;
     assert_eq!(window, across.window, "depth and phases of different windows");
     let side = window.width.max(window.height).div_ceil(CELLS).max(1);
     let (columns, rows) = (window.width.div_ceil(side), window.height.div_ceil(side));
     let extent = if across.set.axis == Axis::Column { rig.projector.width } else { rig.projector.height };
     let pitch = across.set.pitch(extent);
-    let cell = |k: usize| cell(rig, depth, across, pitch, [k % columns, k / columns], side);
-    (0..columns * rows).into_par_iter().filter_map(cell).collect()
+    let of_rows = side_by_side(rows, |row| {
+        List::of((0..columns).filter_map(|column| cell(rig, depth, across, pitch, [column, row], side)))
+    });
+    List::of(of_rows.iter().flatten().copied())
 }
 
 /// Whether [`epipolar_cells`] looks at column `x` and row `y` of `window`, both counted from its corner.
@@ -67,7 +69,7 @@ fn cell(
     let stride = side.div_ceil(SAMPLES);
     let range = |i: usize, n: usize| (i * side..((i + 1) * side).min(n)).step_by(stride);
     let (mut asked, mut sums) = (0usize, (Pixel::zeros(), Vector3::zeros()));
-    let mut residuals = Vec::new(); // rad, wrapped
+    let mut residuals = List::new(); // rad, wrapped
     for row in range(index[1], height) {
         for column in range(index[0], width) {
             asked += 1;

@@ -21,7 +21,10 @@ pub use noise::{NoiseLaw, NoiseSample, difference_samples, excess_noise, residua
 pub use pattern::{Axis, PatternSet};
 pub use stack::Stack;
 pub use triangulate::{Depth, DepthMap, Rays, epipolar_residual, projector_coordinate, triangulate};
-pub use unwrap::{Coordinate, CoordinateMap, unwrap, unwrap_reusing};
+pub use unwrap::{Coordinate, CoordinateMap, unwrap};
+
+/// More sets than any scheme of unwrapping and exposures needs.
+pub const MAX_SETS: usize = 64;
 
 /// Why fringe images give no phase at all. A pixel without phase is a [`State`], not an error.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -8,6 +8,7 @@ use super::{Axis, Stack};
 use crate::Image;
 use crate::geometry::robust::median;
 use crate::image::Window;
+use crate::lent::List;
 
 /// Rounding to whole grey levels, DN².
 const ROUNDING: f64 = 1.0 / 12.0;
@@ -56,16 +57,21 @@ impl NoiseLaw {
         let usable = |s: &&NoiseSample| s.level.is_finite() && s.variance.is_finite();
         let levels = || samples.iter().filter(usable).map(|s| s.level);
         let (low, high) = (levels().fold(f64::INFINITY, f64::min), levels().fold(0.0, f64::max));
-        let mut bands = vec![Vec::new(); BANDS];
-        for s in samples.iter().filter(usable) {
+        let band_of = |s: &NoiseSample| {
             let band = (BANDS as f64 * (s.level - low) / (high - low + 1e-9)) as usize;
-            bands[band.min(BANDS - 1)].push(*s);
-        }
+            band.min(BANDS - 1)
+        };
         // Weighted sums of 1, x, x², v, x·v, with x the level above black and the weight n/v².
         let mut sums = [0.0; 5];
-        for band in bands.iter().filter(|band| band.len() >= 200) {
+        let mut band = List::new();
+        for k in 0..BANDS {
+            band.clear();
+            band.extend(samples.iter().filter(usable).filter(|s| band_of(s) == k).copied());
+            if band.len() < 200 {
+                continue;
+            }
             let x = band.iter().map(|s| (s.level - black).max(0.0)).sum::<f64>() / band.len() as f64;
-            let v = clipped_mean(band).max(ROUNDING);
+            let v = clipped_mean(&band).max(ROUNDING);
             let weight = band.len() as f64 / (v * v);
             for (sum, term) in sums.iter_mut().zip([1.0, x, x * x, v, x * v]) {
                 *sum += weight * term;
@@ -88,7 +94,7 @@ impl NoiseLaw {
 /// Mean of the variances below nine times their mean, to self-consistency; nine keeps 97.3 % of a squared Gaussian.
 fn clipped_mean(band: &[NoiseSample]) -> f64 {
     const KEPT: f64 = 0.9733; // E[x²; |x| < 3] / P(|x| < 3) of a Gaussian of variance 1
-    let mut sorted: Vec<f64> = band.iter().map(|s| s.variance).collect();
+    let mut sorted = List::of(band.iter().map(|s| s.variance));
     sorted.sort_unstable_by(f64::total_cmp);
     let mut mean = sorted[sorted.len() / 2].max(ROUNDING) / 0.4549; // the median of chi² with one degree of freedom
     for _ in 0..20 {
@@ -100,14 +106,14 @@ fn clipped_mean(band: &[NoiseSample]) -> f64 {
 
 /// Samples from the sine-fit residuals of a set of four steps or more, at most about `limit`; none from a set of
 /// three, which fits anything, or one whose images are not all there. Harmonics of the projector count as noise.
-pub fn residual_samples(stack: &Stack, limit: usize) -> Vec<NoiseSample> {
+pub fn residual_samples(stack: &Stack, limit: usize) -> List<NoiseSample> {
     let (set, windows) = (stack.set(), stack.complete().unwrap_or_default());
     let fits = Fits::new(*set, stack.white_level());
     let stride = (windows.iter().map(Planes::len).sum::<usize>() / limit.max(1)).max(1);
     let places = |planes: &Planes| (0..planes.len()).step_by(stride);
-    let pixels = windows.iter().flat_map(|planes| places(planes).map(move |i| planes.part(set, i..i + 1)));
+    let pixels = windows.iter().flat_map(|planes| places(planes).map(move |i| planes.part(i..i + 1)));
     let sample = |(level, variance)| NoiseSample { level, variance };
-    pixels.filter_map(|pixel| fits.residual(pixel.map(|step| step[0]))).map(sample).collect()
+    List::of(pixels.filter_map(|pixel| fits.residual(pixel.map(|step| step[0]))).map(sample))
 }
 
 /// Pixels whose noise is held against a law; fewer than the second number say nothing.
@@ -134,7 +140,7 @@ pub fn excess_noise(stack: &Stack, law: &NoiseLaw, wanted: &[bool]) -> f64 {
     let stride = pixels().count().div_ceil(HELD).max(1);
     let (mut ratios, mut n) = ([0.0; HELD], 0);
     for i in pixels().step_by(stride) {
-        let [one, other] = [i, i + beside].map(|i| planes.part(set, i..i + 1).map(|step| step[0]));
+        let [one, other] = [i, i + beside].map(|i| planes.part(i..i + 1).map(|step| step[0]));
         if let Some((level, variance)) = fits.residual_apart(one, other) {
             ratios[n] = variance / law.variance(level);
             n += 1;
@@ -159,7 +165,7 @@ pub fn difference_samples(
     window: Window,
     white_level: u16,
     limit: usize,
-) -> Vec<NoiseSample> {
+) -> List<NoiseSample> {
     let (dx, dy) = if axis == Axis::Column { (0, 1) } else { (1, 0) };
     let (columns, rows) = (window.width.saturating_sub(2 * dx), window.height.saturating_sub(2 * dy));
     let stride = (columns * rows / limit.max(1)).max(1);
@@ -171,7 +177,7 @@ pub fn difference_samples(
         let unsaturated = three.iter().all(|&v| v < white_level);
         unsaturated.then_some(NoiseSample { level: (a + b + c) / 3.0, variance: second * second / 6.0 })
     };
-    (0..columns * rows).step_by(stride).filter_map(sample).collect()
+    List::of((0..columns * rows).step_by(stride).filter_map(sample))
 }
 
 #[cfg(test)]

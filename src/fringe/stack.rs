@@ -6,33 +6,31 @@
 use super::{Error, PatternSet};
 use crate::Image;
 use crate::image::Window;
+use crate::lent::List;
 use rayon::prelude::*;
 
-/// The images of one fringe set over a list of windows. Buffers are kept from one capture to the next.
+/// The images of one fringe set over a list of windows.
 #[derive(Clone, Debug)]
 pub struct Stack {
     set: PatternSet,
     white_level: u16,
     seen: u16,
     every: usize,
-    windows: Vec<Planes>,
+    windows: List<Planes>,
 }
 
 /// The samples inside one window.
 #[derive(Clone, Debug)]
 pub(super) struct Planes {
     pub(super) window: Window,
-    /// By step, row by row; of a set with fewer steps than an earlier one there are more.
-    steps: Vec<Vec<u16>>,
+    /// By step, row by row.
+    steps: List<List<u16>>,
 }
 
 impl Planes {
-    fn resize(&mut self, window: Window, steps: u32) {
-        self.window = window;
-        let (steps, n) = (steps as usize, window.width * window.height);
-        self.steps.resize_with(steps.max(self.steps.len()), Vec::new);
-        // what is left in them the images overwrite
-        self.steps[..steps].iter_mut().for_each(|plane| plane.resize(n, 0));
+    /// To be overwritten by the images.
+    fn new(window: Window, steps: u32) -> Self {
+        Self { window, steps: List::of((0..steps).map(|_| List::stale(0, window.width * window.height))) }
     }
 
     /// Pixels.
@@ -40,9 +38,9 @@ impl Planes {
         self.window.width * self.window.height
     }
 
-    /// The samples of pixels `range` at each step of `set`.
-    pub(super) fn part(&self, set: &PatternSet, range: std::ops::Range<usize>) -> impl Iterator<Item = &[u16]> + Clone {
-        self.steps[..set.steps as usize].iter().map(move |plane| &plane[range.clone()])
+    /// The samples of pixels `range` at each step.
+    pub(super) fn part(&self, range: std::ops::Range<usize>) -> impl Iterator<Item = &[u16]> + Clone {
+        self.steps.iter().map(move |plane| &plane[range.clone()])
     }
 }
 
@@ -51,7 +49,7 @@ impl Stack {
     /// Errors where the set is none: no fringe, or steps outside 3..=16.
     pub fn new(set: PatternSet, white_level: u16, windows: &[Window]) -> Result<Self, Error> {
         set.check()?;
-        let mut empty = Self { set, white_level, seen: 0, every: 1, windows: Vec::new() };
+        let mut empty = Self { set, white_level, seen: 0, every: 1, windows: List::new() };
         empty.restart(windows);
         Ok(empty)
     }
@@ -62,24 +60,11 @@ impl Stack {
         self.every = every.max(1);
     }
 
-    /// Forgets the images and turns to another `set` and `white_level`; [`Self::restart`] has to follow. Errors as
-    /// [`Self::new`].
-    pub fn turn_to(&mut self, set: PatternSet, white_level: u16) -> Result<(), Error> {
-        set.check()?;
-        (self.set, self.white_level, self.seen) = (set, white_level, 0);
-        Ok(())
-    }
-
-    /// Forgets the images and turns to `windows`, reusing the buffers.
+    /// Forgets the images and turns to `windows`.
     pub fn restart(&mut self, windows: &[Window]) {
         self.seen = 0;
-        self.windows.truncate(windows.len());
-        for (i, &window) in windows.iter().enumerate() {
-            if i == self.windows.len() {
-                self.windows.push(Planes { window, steps: Vec::new() });
-            }
-            self.windows[i].resize(window, self.set.steps);
-        }
+        self.windows.clear();
+        self.windows.extend(windows.iter().map(|window| Planes::new(*window, self.set.steps)));
     }
 
     /// Adds the image of `step` (0-based). Errors, with the images as they were: the step is none of the set's or
@@ -139,26 +124,28 @@ mod tests {
     /// Of each step, the samples of a window.
     fn kept(stack: &Stack) -> Vec<Vec<u16>> {
         let planes = &stack.complete().expect("every step")[0];
-        planes.part(stack.set(), 0..planes.len()).map(<[_]>::to_vec).collect()
+        planes.part(0..planes.len()).map(<[_]>::to_vec).collect()
     }
 
     #[test]
-    fn windows_are_kept_from_where_they_are_and_nothing_of_an_earlier_set() {
+    fn windows_are_kept_from_where_they_are_and_nothing_of_earlier_images() {
         let set = |steps| PatternSet::new(Axis::Column, 1, steps).expect("legal");
         let window = Window { x: 1, y: 1, width: 2, height: 1 };
-        let mut stack = Stack::new(set(4), 255, &[window]).expect("legal");
+        let stack = |steps, window| Stack::new(set(steps), 255, &[window]).expect("legal");
+        let spare = crate::lent::Spare::default();
+        let mut first = spare.serve(|| stack(4, window));
         for (step, (left, right)) in [(10, 254), (20, 255), (30, 7), (50, 9)].into_iter().enumerate() {
             let image = Image { width: 3, height: 2, pixels: vec![99, 99, 99, 99, left, right] };
-            stack.add(step as u32, &image).expect("fits");
+            first.add(step as u32, &image).expect("fits");
         }
-        assert_eq!(kept(&stack), [[10, 254], [20, 255], [30, 7], [50, 9]]);
-        stack.turn_to(set(3), 255).expect("legal");
-        stack.restart(&[Window { x: 0, ..window }]);
-        assert!(stack.complete().is_err());
+        assert_eq!(kept(&first), [[10, 254], [20, 255], [30, 7], [50, 9]]);
+        drop(first);
+        let mut next = spare.serve(|| stack(3, Window { x: 0, ..window }));
+        assert!(next.complete().is_err());
         for step in 0..3 {
-            stack.add(step, &Image { width: 2, height: 2, pixels: vec![1, 2, 3 + step as u16, 4] }).expect("fits");
+            next.add(step, &Image { width: 2, height: 2, pixels: vec![1, 2, 3 + step as u16, 4] }).expect("fits");
         }
-        assert_eq!(kept(&stack), [[3, 4], [4, 4], [5, 4]]);
+        assert_eq!(kept(&next), [[3, 4], [4, 4], [5, 4]]);
     }
 
     #[test]

@@ -4,6 +4,7 @@
 use super::{Axis, CoordinateMap, State};
 use crate::geometry::{Point3, frame};
 use crate::image::Window;
+use crate::lent::List;
 use crate::{Lens, Pixel, Rig};
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
@@ -63,28 +64,13 @@ pub struct Rays {
     /// Where in the image.
     pub window: Window,
     /// Undistorted normalised coordinates, row by row; NaN where the lens has no inverse.
-    normalised: Vec<Vector2<f64>>,
+    normalised: List<Vector2<f64>>,
 }
 
 impl Rays {
     /// The rays of `lens` through the pixels of `window`.
     pub fn new(lens: &Lens, window: Window) -> Self {
-        let mut new = Self::empty();
-        new.renew(lens, window);
-        new
-    }
-
-    /// The rays of no pixel.
-    pub fn empty() -> Self {
-        Self { window: Window::whole(0, 0), normalised: Vec::new() }
-    }
-
-    /// Turns to the pixels of another `window`, reusing the buffer.
-    pub fn renew(&mut self, lens: &Lens, window: Window) {
-        self.window = window;
-        let normalised = &mut self.normalised;
-        normalised.clear();
-        normalised.resize(window.width * window.height, Vector2::repeat(f64::NAN));
+        let mut normalised = List::filled(Vector2::repeat(f64::NAN), window.width * window.height);
         normalised.par_chunks_mut(window.width.max(1)).enumerate().for_each(|(y, row)| {
             let pixel = |x| Pixel::new((window.x + x) as f64, (window.y + y) as f64);
             for x in 0..row.len() {
@@ -98,6 +84,7 @@ impl Rays {
                 row[x] = found.unwrap_or(Vector2::repeat(f64::NAN));
             }
         });
+        Self { window, normalised }
     }
 
     /// The ray through image pixel (x, y), z = 1. Panics outside the window.
@@ -143,17 +130,12 @@ pub struct DepthMap<'a> {
     /// Where each pixel looks.
     pub rays: &'a Rays,
     /// `window.width * window.height` depths.
-    pub pixels: Vec<Depth>,
+    pub pixels: List<Depth>,
 }
 
 impl<'a> DepthMap<'a> {
     /// Triangulates every valid coordinate. Panics if `rays` and `coordinates` are of different windows.
     pub fn new(rig: &Rig, rays: &'a Rays, coordinates: &CoordinateMap) -> Self {
-        Self::reusing(Vec::new(), rig, rays, coordinates)
-    }
-
-    /// As [`Self::new`], in the buffer of `pixels`.
-    pub fn reusing(mut pixels: Vec<Depth>, rig: &Rig, rays: &'a Rays, coordinates: &CoordinateMap) -> Self {
         assert_eq!(rays.window, coordinates.window, "rays and coordinates of different windows");
         let axis = coordinates.axis;
         let depth = |(i, c): (usize, &super::Coordinate)| {
@@ -174,8 +156,7 @@ impl<'a> DepthMap<'a> {
             }
         };
         let depths = coordinates.pixels.par_iter().enumerate().with_min_len(1024).map(depth);
-        depths.collect_into_vec(&mut pixels);
-        Self { rays, pixels }
+        Self { rays, pixels: List::of_parallel(depths) }
     }
 
     /// The depth at image pixel (x, y); `None` outside the window.
@@ -296,7 +277,7 @@ mod tests {
                 unordered: None,
             }
         });
-        let (axis, pixels) = (Axis::Column, pixels.collect());
+        let (axis, pixels) = (Axis::Column, List::of(pixels));
         let coordinates = CoordinateMap { axis, pitch: 20.0, window, pixels, extent: 1280 };
         let map = DepthMap::new(&rig, &rays, &coordinates);
         let square = |d: &Depth| ((f64::from(d.z) - 750.0) / f64::from(d.sigma)).powi(2);

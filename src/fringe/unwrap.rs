@@ -3,8 +3,9 @@
 //! Hierarchical temporal unwrapping; Zuo et al., "Temporal phase unwrapping algorithms for fringe projection
 //! profilometry: a comparative review", Optics and Lasers in Engineering 85 (2016) 84.
 
-use super::{Axis, Error, Limits, Phase, PhaseMap, State};
+use super::{Axis, Error, Limits, MAX_SETS, Phase, PhaseMap, State};
 use crate::image::Window;
+use crate::lent::List;
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
@@ -47,7 +48,7 @@ pub struct CoordinateMap {
     /// Where in the image.
     pub window: Window,
     /// `window.width * window.height` coordinates.
-    pub pixels: Vec<Coordinate>,
+    pub pixels: List<Coordinate>,
     /// The projector's px along the axis.
     pub extent: usize,
 }
@@ -56,32 +57,21 @@ pub struct CoordinateMap {
 /// left alone. `extent`: the projector's px along the axis. Of sets of equal count, a stack of exposures, each pixel takes
 /// all unsaturated steps for what they are worth. A pixel whose sets disagree by `limits.order_residual`, or are too noisy to
 /// agree, is invalid, unless noise explains it and its coarse phase agrees once its neighbours' are averaged into it.
-/// Errors where no set has the axis, or none of them has count 1. Panics if the windows differ.
+/// Errors where no set has the axis, or none of them has count 1. Panics if the windows differ, or if there are more than
+/// [`MAX_SETS`] sets.
 pub fn unwrap(maps: &[PhaseMap], axis: Axis, extent: usize, limits: &Limits) -> Result<CoordinateMap, Error> {
-    unwrap_reusing(Vec::new(), maps, axis, extent, limits)
-}
-
-/// As [`unwrap`], in the buffer of `pixels`.
-pub fn unwrap_reusing(
-    mut pixels: Vec<Coordinate>,
-    maps: &[PhaseMap],
-    axis: Axis,
-    extent: usize,
-    limits: &Limits,
-) -> Result<CoordinateMap, Error> {
-    let mut sets: Vec<&PhaseMap> = maps.iter().filter(|m| m.set.axis == axis).collect();
+    let mut sets: heapless::Vec<&PhaseMap, MAX_SETS> = maps.iter().filter(|m| m.set.axis == axis).collect();
     sets.sort_by_key(|m| m.set.count);
     let (Some(first), Some(last)) = (sets.first(), sets.last()) else { return Err(Error::NoSet { axis }) };
     if first.set.count != 1 {
         return Err(Error::Ambiguous { axis, lowest: first.set.count });
     }
     assert!(sets.iter().all(|m| m.window == first.window), "phase maps of different windows");
-    let levels: Vec<&[&PhaseMap]> = sets.chunk_by(|a, b| a.set.count == b.set.count).collect();
+    let levels: heapless::Vec<&[&PhaseMap], MAX_SETS> = sets.chunk_by(|a, b| a.set.count == b.set.count).collect();
     let mut map =
-        CoordinateMap { axis, pitch: last.set.pitch(extent), window: first.window, pixels: Vec::new(), extent };
+        CoordinateMap { axis, pitch: last.set.pitch(extent), window: first.window, pixels: List::new(), extent };
     let pixel = |i| coordinate(&levels, i, &map, limits);
-    (0..first.pixels.len()).into_par_iter().with_min_len(1024).map(pixel).collect_into_vec(&mut pixels);
-    map.pixels = pixels;
+    map.pixels = List::of_parallel((0..first.pixels.len()).into_par_iter().with_min_len(1024).map(pixel));
     Ok(map)
 }
 
@@ -263,7 +253,7 @@ mod tests {
                 let phase = (TAU * (turns - turns.round())) as f32;
                 Phase { phase, variance: 1e-4, level: 80.0, modulation: 60.0, saturated: false, state: State::Valid }
             };
-            PhaseMap { set, window, pixels: (0..EXTENT).map(phase).collect() }
+            PhaseMap { set, window, pixels: List::of((0..EXTENT).map(phase)) }
         };
         counts.iter().map(map).collect()
     }

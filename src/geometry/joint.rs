@@ -10,6 +10,7 @@
 
 use super::Pose;
 use super::robust::{mad_sigma, weigh};
+use crate::lent::List;
 use nalgebra::{DMatrix, DVector, Matrix3xX, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
 
 /// Biases that one distance may share.
@@ -49,11 +50,11 @@ pub struct Joint {
     pub biases_chi2: f64,
     /// By how much more the mean of each group is uncertain (variance) than independent distances of the stated
     /// variance would leave it; at least 1.
-    pub inflation: Vec<f64>,
+    pub inflation: List<f64>,
     /// Distances that have weight, of each group.
-    pub used: Vec<usize>,
+    pub used: List<usize>,
     /// The motion that a shift (mm, moving frame) of all points of each part alone would make.
-    pub gain: Vec<SMatrix<f64, 6, 3>>,
+    pub gain: List<SMatrix<f64, 6, 3>>,
 }
 
 impl Joint {
@@ -74,20 +75,20 @@ pub fn register_jointly(distances: &[Distance], priors: &[f64], at: &Vector3<f64
     let unknowns = 6 + priors.len();
     let groups = distances.iter().map(|d| d.group + 1).max()?;
     let parts = distances.iter().map(|d| d.part + 1).max()?;
-    let rows: Vec<_> = distances.iter().map(|d| motion_row(d, at)).collect();
-    let members: Vec<Vec<usize>> =
-        (0..groups).map(|g| (0..distances.len()).filter(|&k| distances[k].group == g).collect()).collect();
+    let rows = List::of(distances.iter().map(|d| motion_row(d, at)));
+    let of_group = |g: usize| List::of((0..distances.len()).filter(|&k| distances[k].group == g));
+    let members = List::of((0..groups).map(of_group));
     let mut x = DVector::<f64>::zeros(unknowns);
-    let mut inflation = vec![1.0; groups];
+    let mut inflation = List::filled(1.0, groups);
     for round in 0..ROUNDS {
-        let over: Vec<f64> =
-            distances.iter().zip(&rows).map(|(d, row)| (d.mm - expected(d, row, &x)) / d.variance.sqrt()).collect();
-        let mut weights = vec![0.0; distances.len()];
-        let mut scatter = vec![0.0; groups];
+        let off = |(d, row): (&Distance, &Vector6<f64>)| (d.mm - expected(d, row, &x)) / d.variance.sqrt();
+        let over = List::of(distances.iter().zip(&rows).map(off));
+        let mut weights = List::filled(0.0, distances.len());
+        let mut scatter = List::filled(0.0, groups);
         for (members, scatter) in members.iter().zip(&mut scatter) {
-            let of_group: Vec<f64> = members.iter().map(|&k| over[k]).collect();
-            members.iter().zip(weigh(&of_group).0).for_each(|(&k, w)| weights[k] = w);
-            *scatter = mad_sigma(of_group.into_iter()); // which may be less than the stated sigmas promise
+            let of_group = List::of(members.iter().map(|&k| over[k]));
+            members.iter().zip(&weigh(&of_group).0).for_each(|(&k, w)| weights[k] = *w);
+            *scatter = mad_sigma(of_group.iter().copied()); // which may be less than the stated sigmas promise
         }
         let mut of_group = vec![DMatrix::<f64>::zeros(unknowns, unknowns); groups];
         let mut right = DVector::zeros(unknowns);
@@ -143,8 +144,8 @@ pub fn register_jointly(distances: &[Distance], priors: &[f64], at: &Vector3<f64
                 biases_chi2: biases.iter().zip(priors).map(|(b, sigma)| (b / sigma).powi(2)).sum(),
                 biases,
                 inflation,
-                used: members.iter().map(|m| m.iter().filter(|&&k| weights[k] > 0.0).count()).collect(),
-                gain: pull.iter().map(gain).collect(),
+                used: List::of(members.iter().map(|m| m.iter().filter(|&&k| weights[k] > 0.0).count())),
+                gain: List::of(pull.iter().map(gain)),
             });
         }
     }
@@ -165,7 +166,7 @@ fn expected(d: &Distance, row: &Vector6<f64>, x: &DVector<f64>) -> f64 {
 /// Variance of the blocks' sums over that of as many independent values: 1 where neighbours know nothing of each other.
 /// `taken`: of how many degrees of freedom the fit has robbed the values.
 fn correlation(members: &[usize], distances: &[Distance], value: impl Fn(usize) -> f64, taken: f64) -> f64 {
-    let mut values: Vec<(u32, f64)> = members.iter().map(|&k| (distances[k].block, value(k))).collect();
+    let mut values = List::of(members.iter().map(|&k| (distances[k].block, value(k))));
     values.retain(|(_, v)| *v != 0.0);
     values.sort_by_key(|(block, _)| *block);
     let (mut blocks, mut of_sums, mut of_values) = (0.0, 0.0, 0.0);
@@ -277,7 +278,7 @@ mod tests {
         let mut distances = scene(&MOTION.into(), &AT, Scatter::None, &mut Noise::new(1));
         let got = register_jointly(&distances, &PRIORS, &AT).expect("three parts");
         assert!((got.motion - Vector6::from(MOTION)).amax() < 1e-9 && got.biases.amax() < 1e-9, "{}", got.motion);
-        assert_eq!(got.inflation, [1.0, 1.0]);
+        assert_eq!(*got.inflation, [1.0, 1.0]);
         for d in distances.iter_mut().skip(2).step_by(7) {
             d.mm += 0.6;
         }

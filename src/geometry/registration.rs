@@ -4,7 +4,8 @@
 //! then Gauss–Newton on the weighted residuals, which is where the covariance comes from.
 
 use super::{Point3, Pose, skew};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x6, Matrix6, Rotation3, SMatrix, Vector3, Vector6};
+use crate::lent::List;
+use nalgebra::{Matrix3, Matrix3x6, Matrix6, Rotation3, SMatrix, SVector, Vector3, Vector6};
 
 /// One point known in both frames.
 #[derive(Debug, Clone, Copy)]
@@ -28,7 +29,7 @@ pub struct Registration<A, B> {
     /// The centroid of the nominal points, in B.
     pub at: Point3<B>,
     /// Per pair: measured less nominal in B's axes, mm.
-    pub residuals: Vec<Vector3<f64>>,
+    pub residuals: List<Vector3<f64>>,
     /// Σ rᵀ·Σ⁻¹·r over the pairs; 3n − 6 degrees of freedom.
     pub chi2: f64,
 }
@@ -48,18 +49,17 @@ impl<A, B> Registration<A, B> {
     /// `chi2` of the residuals when each point of `pairs`, the ones registered, may also be off by `shifts`, as in
     /// [`Self::response`], times independent errors of variance 1 that the points share.
     pub fn chi2_granting<const N: usize>(&self, pairs: &[Pair<A, B>], shifts: &[SMatrix<f64, 3, N>]) -> f64 {
-        let (n, r) = (3 * pairs.len(), self.a_from_b.r);
+        let to_b = self.a_from_b.r.inverse();
         let moved = self.response(pairs, shifts);
-        let mut covariance = DMatrix::zeros(n, n);
-        let (mut left, mut residuals) = (DMatrix::zeros(n, N), DVector::zeros(n));
-        for (k, ((pair, shift), residual)) in pairs.iter().zip(shifts).zip(&self.residuals).enumerate() {
-            let by_pose = motion_jacobian(&pair.nominal.xyz, &self.at.xyz) * moved;
-            covariance.fixed_view_mut::<3, 3>(3 * k, 3 * k).copy_from(&(r.inverse() * pair.covariance * r));
-            left.fixed_view_mut::<3, N>(3 * k, 0).copy_from(&(r.inverse() * shift - by_pose));
-            residuals.fixed_rows_mut::<3>(3 * k).copy_from(residual);
+        // the residuals' covariance is that of the points plus that of the errors: inverted by Woodbury's identity
+        let (mut normal, mut right) = (SMatrix::<f64, N, N>::identity(), SVector::<f64, N>::zeros());
+        for (index, ((pair, shift), residual)) in pairs.iter().zip(shifts).zip(&self.residuals).enumerate() {
+            let left = to_b * shift - motion_jacobian(&pair.nominal.xyz, &self.at.xyz) * moved;
+            let weight = weight(pair, &self.a_from_b, index).expect("it was registered with it");
+            normal += left.transpose() * weight * left;
+            right += left.transpose() * (weight * residual);
         }
-        covariance += &left * left.transpose();
-        covariance.try_inverse().map_or(f64::INFINITY, |inverse| residuals.dot(&(inverse * &residuals)))
+        normal.cholesky().map_or(f64::INFINITY, |factor| self.chi2 - right.dot(&factor.solve(&right)))
     }
 }
 
@@ -128,15 +128,10 @@ pub fn register<A, B>(pairs: &[Pair<A, B>]) -> Result<Registration<A, B>, NoPose
     }
     let covariance = solved.expect("the loop runs at least once");
     let mut chi2 = 0.0;
-    let residuals = pairs
-        .iter()
-        .enumerate()
-        .map(|(index, pair)| {
-            let r = residual(pair, &pose);
-            chi2 += r.dot(&(weight(pair, &pose, index)? * r));
-            Ok(r)
-        })
-        .collect::<Result<_, NoPose>>()?;
+    let residuals = List::of(pairs.iter().map(|pair| residual(pair, &pose)));
+    for (index, (pair, r)) in pairs.iter().zip(&residuals).enumerate() {
+        chi2 += r.dot(&(weight(pair, &pose, index)? * r));
+    }
     Ok(Registration { a_from_b: pose, covariance, at: Point3::new(at), residuals, chi2 })
 }
 

@@ -2,6 +2,8 @@
 //! Not here: any model; each fit iterates its own.
 //! Tukey's biweight with the MAD scale: Huber, Ronchetti, "Robust Statistics", Wiley 2009, §4.8 and §5.1.
 
+use crate::lent::List;
+
 /// Where Tukey's weight reaches zero, in sigmas: 95 % efficient on Gaussian noise.
 const CUTOFF: f64 = 4.685;
 
@@ -16,7 +18,7 @@ const SIGMA_PER_MEDIAN: f64 = 1.4826;
 
 /// The standard deviation about zero of Gaussian `residuals`, whatever less than half of them do.
 pub fn mad_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
-    SIGMA_PER_MEDIAN * median(&mut residuals.map(f64::abs).collect::<Vec<_>>())
+    SIGMA_PER_MEDIAN * median(&mut List::of(residuals.map(f64::abs)))
 }
 
 /// Tukey's biweight at `u` sigmas, 1 at 0 down to 0 from 4.685 on.
@@ -27,13 +29,20 @@ pub fn tukey(u: f64) -> f64 {
 /// Tukey weights of residuals (each over its own sigma), for all rounds of a fit.
 ///
 /// With these weights `(Σ w·j·jᵀ/σ²)⁻¹` is the covariance of the fit to 2 % in sigma (too large) for Gaussian noise.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Weights {
     /// One of each residual, 0..=1.
-    pub weights: Vec<f64>,
+    pub weights: List<f64>,
     /// What they were taken at: the scale of the residuals' scatter, but never below the 1 that the stated sigmas promise.
     pub scale: f64,
-    magnitudes: Vec<f64>,
+    magnitudes: List<f64>,
+}
+
+impl Default for Weights {
+    /// Of nothing.
+    fn default() -> Self {
+        Self { weights: List::new(), scale: 1.0, magnitudes: List::new() }
+    }
 }
 
 impl Weights {
@@ -41,14 +50,15 @@ impl Weights {
     pub fn weigh(&mut self, residuals: impl Iterator<Item = f64>) {
         self.magnitudes.clear();
         self.magnitudes.extend(residuals.map(f64::abs));
-        self.weights.clone_from(&self.magnitudes);
+        self.weights.clear();
+        self.weights.extend_from_slice(&self.magnitudes);
         self.scale = (SIGMA_PER_MEDIAN * median(&mut self.magnitudes)).max(1.0);
         self.weights.iter_mut().for_each(|w| *w = tukey(*w / self.scale));
     }
 }
 
 /// Tukey weights of `residuals` (each over its own sigma), and the scale they were taken at.
-pub fn weigh(residuals: &[f64]) -> (Vec<f64>, f64) {
+pub fn weigh(residuals: &[f64]) -> (List<f64>, f64) {
     let mut weights = Weights::default();
     weights.weigh(residuals.iter().copied());
     (weights.weights, weights.scale)
@@ -74,12 +84,12 @@ pub fn start<M>(n: usize, fit: impl Fn(&[usize]) -> Option<M>, loss: impl Fn(&M,
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407); // Knuth's MMIX
         (state >> 33) as usize % n
     };
-    let all: Vec<usize> = (0..n).collect();
+    let all = List::of(0..n);
     let mut best: Option<(M, f64)> = None;
     for round in 0..=SUBSETS {
         let few: [usize; SUBSET];
         let picked = if round == 0 {
-            &all
+            &all[..]
         } else {
             few = std::array::from_fn(|_| pick());
             &few[..]

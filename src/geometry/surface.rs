@@ -9,6 +9,7 @@
 
 use super::Point3;
 use super::robust::{Weights, start, truncated};
+use crate::lent::List;
 use nalgebra::{Cholesky, Const, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 /// A right-handed local frame on the body: `u`, `v` along the surface, `w` outward (towards the camera).
@@ -169,7 +170,7 @@ fn solve<const ORDER: usize, const TERMS: usize>(
 /// Cells in units of their own: what a fit asks of them again and again.
 struct Scaled {
     scale: f64,
-    points: Vec<ScaledCell>,
+    points: List<ScaledCell>,
 }
 
 /// u and v over the scale, height, 1/sigma.
@@ -178,7 +179,7 @@ type ScaledCell = (Vector2<f64>, f64, f64);
 impl Scaled {
     fn new<'c>(cells: impl Iterator<Item = &'c Cell> + Clone) -> Self {
         let scale = cells.clone().map(|c| c.uv.amax()).fold(1.0, f64::max);
-        Self { scale, points: cells.map(|c| (c.uv / scale, c.w, c.variance.sqrt().recip())).collect() }
+        Self { scale, points: List::of(cells.map(|c| (c.uv / scale, c.w, c.variance.sqrt().recip()))) }
     }
 
     /// Of a polynomial, each over its sigma.
@@ -239,7 +240,7 @@ impl Polynomial {
     /// coefficient, or where they do not determine it.
     pub fn through(points: impl Iterator<Item = (Vector2<f64>, f64)> + Clone, order: usize) -> Option<Self> {
         let scale = points.clone().map(|(uv, _)| uv.amax()).fold(f64::MIN_POSITIVE, f64::max);
-        let scaled = Scaled { scale, points: points.map(|(uv, w)| (uv / scale, w, 1.0)).collect() };
+        let scaled = Scaled { scale, points: List::of(points.map(|(uv, w)| (uv / scale, w, 1.0))) };
         let weights = vec![1.0; scaled.points.len()];
         of_order!(order, fit(&scaled, &weights))
     }
@@ -317,7 +318,7 @@ impl<F> Surface<F> {
     /// tilt are free, so whatever the polynomial does not follow is the same as when it was taught, and cancels.
     /// `None` where the cells do not determine them.
     pub fn fit_shape(local: Local<F>, cells: &[Cell], shape: &Polynomial, radius_mm: f64) -> Option<Self> {
-        let off: Vec<Cell> = cells.iter().map(|c| Cell { w: c.w - shape.height(&c.uv), ..*c }).collect();
+        let off = List::of(cells.iter().map(|c| Cell { w: c.w - shape.height(&c.uv), ..*c }));
         let fit = Self::fit(local, &off, 1, radius_mm)?;
         let mut polynomial = shape.clone();
         polynomial.covariance.fill(0.0);
@@ -409,11 +410,8 @@ const JUDGES: usize = 300;
 /// What the polynomial does not follow, rms, mm: the mean product of the residuals of neighbouring cells, which
 /// noise leaves at 0 whatever its size (Moran, Biometrika 37 (1950) 17), less twice the scatter of that mean.
 fn misfit<'c>(cells: impl Iterator<Item = &'c Cell>, weights: &[f64], polynomial: &Polynomial) -> f64 {
-    let mut residuals: Vec<([i32; 2], f64, f64)> = cells
-        .zip(weights)
-        .filter(|(_, w)| **w > 0.0)
-        .map(|(c, _)| (c.index, c.w - polynomial.height(&c.uv), c.variance))
-        .collect();
+    let used = cells.zip(weights).filter(|(_, w)| **w > 0.0);
+    let mut residuals = List::of(used.map(|(c, _)| (c.index, c.w - polynomial.height(&c.uv), c.variance)));
     residuals.sort_unstable_by_key(|(index, ..)| *index); // as they mostly come
     let (mut products, mut scatter, mut pairs) = (0.0, 0.0, 0.0);
     let mut below = 0; // the first that is not before the neighbour in the next row

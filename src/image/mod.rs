@@ -7,6 +7,8 @@ pub use png::{
     MAX_SIDE, PngError, PngHeader, png_rgb, read_png, read_png_header, write_png, write_png_16, write_png_rgb,
 };
 
+use crate::lent::{Lent, Reuse};
+
 /// A grey image, row by row, `pixels[y * width + x]`; pixel centres at integers, y down.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image<T> {
@@ -24,6 +26,18 @@ impl<T: Copy> Image<T> {
         Self { width, height, pixels: vec![value; width * height] }
     }
 
+    /// The same with room that is lent.
+    #[track_caller]
+    pub fn lent(width: usize, height: usize, value: T) -> Lent<Self>
+    where
+        T: Send + 'static,
+    {
+        let mut image = Lent::<Self>::new();
+        (image.width, image.height) = (width, height);
+        image.pixels.resize(width * height, value);
+        image
+    }
+
     /// Row `y`. Panics outside.
     pub fn row(&self, y: usize) -> &[T] {
         &self.pixels[y * self.width..(y + 1) * self.width]
@@ -37,6 +51,22 @@ impl<T: Copy> Image<T> {
     /// The sample at (x, y). Panics outside.
     pub fn at(&self, x: usize, y: usize) -> T {
         self.pixels[y * self.width + x]
+    }
+}
+
+impl<T> Default for Image<T> {
+    /// Of no pixel.
+    fn default() -> Self {
+        Self { width: 0, height: 0, pixels: Vec::new() }
+    }
+}
+
+impl<T: Send + 'static> Reuse for Image<T> {
+    const MUST_DROP: bool = <Vec<T> as Reuse>::MUST_DROP;
+
+    fn empty(&mut self) {
+        (self.width, self.height) = (0, 0);
+        self.pixels.clear();
     }
 }
 

@@ -6,6 +6,7 @@
 
 use crate::capture::Camera;
 use crate::image::Image;
+use crate::lent::{Lent, List};
 
 /// Side of a tile, as a share of the image's width.
 const TILES: usize = 54;
@@ -24,25 +25,19 @@ const SHARES: std::ops::RangeInclusive<f64> = 0.1..=10.0;
 
 /// `red` in grey levels with what `ambient` says of the hall's light taken off, where neither is saturated; without an
 /// ambient image `red` as it is.
-pub(super) fn without(red: &Image<u16>, ambient: Option<&Image<u16>>, camera: &Camera) -> Image<f32> {
-    let mut out = Image { width: 0, height: 0, pixels: Vec::new() };
-    without_into(red, ambient, camera, &mut out);
-    out
-}
-
-/// The same into an image that is used again.
-pub(super) fn without_into(red: &Image<u16>, ambient: Option<&Image<u16>>, camera: &Camera, out: &mut Image<f32>) {
+pub(super) fn without(red: &Image<u16>, ambient: Option<&Image<u16>>, camera: &Camera) -> Lent<Image<f32>> {
+    let mut out = Lent::<Image<f32>>::new();
     (out.width, out.height) = (red.width, red.height);
-    out.pixels.clear();
     let Some((ambient, share)) = ambient.and_then(|a| Some((a, share(red, a, camera)? as f32))) else {
         out.pixels.extend(red.pixels.iter().map(|v| f32::from(*v)));
-        return;
+        return out;
     };
     let (black, white) = (camera.black_level as f32, camera.white_level() as f32);
     out.pixels.extend(red.pixels.iter().zip(&ambient.pixels).map(|(r, a)| {
         let (r, a) = (f32::from(*r), f32::from(*a));
         if r >= white || a >= white { r } else { r - share * (a - black) }
     }));
+    out
 }
 
 /// Grey levels of `red` per grey level of `ambient` that the hall's light alone gives: the slope of one on the other
@@ -51,8 +46,8 @@ pub(super) fn without_into(red: &Image<u16>, ambient: Option<&Image<u16>>, camer
 fn share(red: &Image<u16>, ambient: &Image<u16>, camera: &Camera) -> Option<f64> {
     let side = (red.width / TILES).max(8);
     let (black, white) = (camera.black_level, camera.white_level());
-    let mut slopes = Vec::new();
-    let (mut a, mut r) = (vec![0.0; side * side], vec![0.0; side * side]);
+    let mut slopes = List::new();
+    let [mut a, mut r] = [(); 2].map(|()| List::filled(0.0, side * side));
     let basis = quadratic(side);
     for y in (0..red.height.saturating_sub(side - 1)).step_by(side) {
         for x in (0..red.width.saturating_sub(side - 1)).step_by(side) {
@@ -71,7 +66,7 @@ fn share(red: &Image<u16>, ambient: &Image<u16>, camera: &Camera) -> Option<f64>
                 continue;
             }
             let level = a.iter().sum::<f64>() / a.len() as f64;
-            for values in [&mut a, &mut r] {
+            for values in [&mut *a, &mut *r] {
                 for b in &basis {
                     let along: f64 = values.iter().zip(b).map(|(v, b)| v * b).sum();
                     values.iter_mut().zip(b).for_each(|(v, b)| *v -= along * b);
@@ -91,12 +86,12 @@ fn share(red: &Image<u16>, ambient: &Image<u16>, camera: &Camera) -> Option<f64>
 }
 
 /// Orthonormal quadratic polynomials over a tile.
-fn quadratic(side: usize) -> Vec<Vec<f64>> {
+fn quadratic(side: usize) -> List<List<f64>> {
     let at = |k: usize| k as f64 / (side - 1) as f64 * 2.0 - 1.0;
     let terms: [fn(f64, f64) -> f64; 6] = [|_, _| 1.0, |x, _| x, |_, y| y, |x, _| x * x, |x, y| x * y, |_, y| y * y];
-    let mut basis: Vec<Vec<f64>> = Vec::new();
+    let mut basis: List<List<f64>> = List::new();
     for term in terms {
-        let mut v: Vec<f64> = (0..side * side).map(|k| term(at(k % side), at(k / side))).collect();
+        let mut v = List::of((0..side * side).map(|k| term(at(k % side), at(k / side))));
         for b in &basis {
             let along: f64 = v.iter().zip(b).map(|(v, b)| v * b).sum();
             v.iter_mut().zip(b).for_each(|(v, b)| *v -= along * b);

@@ -6,10 +6,10 @@
 use crate::code::Code;
 use crate::fringe::{CoordinateMap, DepthMap, Rays, State};
 use crate::geometry::{Cell, Local, Point3, Polynomial, Surface, frame};
+use crate::lent::{List, side_by_side};
 use crate::optics::Lens;
 use crate::vehicle::PanelMask;
 use nalgebra::{Vector2, Vector3};
-use rayon::prelude::*;
 
 /// The panel about a feature.
 pub(crate) struct Panel {
@@ -80,7 +80,7 @@ pub(crate) struct Patch {
     pub(crate) surface: Surface<frame::Camera>,
     pub(crate) coverage: f64,
     /// What it was fitted to, in the local frame of the surface.
-    pub(crate) cells: Vec<Cell>,
+    pub(crate) cells: List<Cell>,
 }
 
 impl Patch {
@@ -92,10 +92,10 @@ impl Patch {
             let p = turn * c.uv.push(c.w) + shift;
             Cell { uv: p.xy(), w: p.z, ..*c }
         };
-        Self::new(local, self.cells.iter().map(moved).collect(), self.coverage, shape)
+        Self::new(local, List::of(self.cells.iter().map(moved)), self.coverage, shape)
     }
 
-    fn new(local: Local<frame::Camera>, cells: Vec<Cell>, coverage: f64, shape: &Shape<'_>) -> Result<Self, Code> {
+    fn new(local: Local<frame::Camera>, cells: List<Cell>, coverage: f64, shape: &Shape<'_>) -> Result<Self, Code> {
         let surface = shape.fit(local, &cells).ok_or(Code::CoverageLow)?;
         if surface.misfit_mm > MAX_MISFIT_MM {
             return Err(Code::NotSmooth);
@@ -116,7 +116,7 @@ struct Sums {
 /// The sums of all cells of a patch.
 struct CellSums {
     half: i32,
-    sums: Vec<Sums>,
+    sums: List<Sums>,
 }
 
 impl CellSums {
@@ -124,7 +124,7 @@ impl CellSums {
     /// look: what lies farther off is no part of the patch.
     fn new(reach_mm: f64) -> Self {
         let half = (1.5 * reach_mm / CELL_MM).ceil() as i32;
-        Self { half, sums: vec![Sums::default(); (4 * half * half) as usize] }
+        Self { half, sums: List::filled(Sums::default(), (4 * half * half) as usize) }
     }
 
     fn clear(&mut self) {
@@ -146,14 +146,14 @@ impl CellSums {
     }
 
     /// The cells with any points, by their index.
-    fn cells(&self) -> Vec<Cell> {
+    fn cells(&self) -> List<Cell> {
         let place = |k: i32| [k / (2 * self.half) - self.half, k % (2 * self.half) - self.half];
         let cell = |(k, s): (i32, &Sums)| {
             let n = s.weight;
             let uv = Vector2::new(s.u / n, s.v / n);
             (n > 0.0).then(|| Cell { index: place(k), uv, w: s.w / n, variance: 1.0 / n })
         };
-        (0..).zip(&self.sums).filter_map(cell).collect()
+        List::of((0..).zip(&self.sums).filter_map(cell))
     }
 }
 
@@ -246,8 +246,9 @@ pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> O
     let middle = sites.iter().map(|s| s.local.origin.xyz).sum::<Vector3<f64>>() / sites.len() as f64;
     let local = Local { origin: Point3::new(middle), axes: sites.first()?.local.axes };
     let side = 2 * COARSE_CELLS as usize;
-    let of_site = |site: &Site<'_>| {
-        let mut points: Vec<(u32, Vector3<f64>, f64)> = Vec::new(); // cell, local coordinates, variance
+    let points = side_by_side(sites.len(), |k| {
+        let site = &sites[k];
+        let mut points: List<(u32, Vector3<f64>, f64)> = List::new(); // cell, local coordinates, variance
         let pixels_of_cell = (COARSE_CELL_MM * camera.fx / middle.z / site.step() as f64).powi(2);
         let (every, mut number) = ((pixels_of_cell / COARSE_POINTS) as usize, 0usize);
         panel_pixels(map.rays, camera, site, site.radii()[3], |i, ray, _| {
@@ -263,20 +264,19 @@ pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> O
             }
         });
         points
-    };
-    let points: Vec<_> = sites.par_iter().map(of_site).collect();
+    });
     // sorted by counting: `end[k]` is where the points of cell k end
-    let mut end = vec![0u32; side * side + 1];
+    let mut end = List::filled(0u32, side * side + 1);
     points.iter().flatten().for_each(|p| end[p.0 as usize + 1] += 1);
     for k in 1..end.len() {
         end[k] += end[k - 1];
     }
-    let mut sorted = vec![(Vector3::zeros(), 0.0); end[side * side] as usize];
-    for (k, c, variance) in points.into_iter().flatten() {
-        sorted[end[k as usize] as usize] = (c, variance);
-        end[k as usize] += 1;
+    let mut sorted = List::filled((Vector3::zeros(), 0.0), end[side * side] as usize);
+    for (k, c, variance) in points.iter().flatten() {
+        sorted[end[*k as usize] as usize] = (*c, *variance);
+        end[*k as usize] += 1;
     }
-    let mut cells = Vec::new();
+    let mut cells = List::new();
     let mut rest = &mut sorted[..];
     let mut start = 0;
     for (k, &end) in (0..).zip(&end[..side * side]) {
@@ -361,7 +361,7 @@ struct Sample {
 }
 
 /// The pixels about a feature, taken once for all passes.
-pub(crate) struct Samples(Vec<Sample>);
+pub(crate) struct Samples(List<Sample>);
 
 impl Samples {
     /// Those on the panel of `site` within `reach_mm`: with a grown panel and a longer reach than the widest patch's, what
@@ -373,7 +373,7 @@ impl Samples {
         reach_mm: f64,
         coarse: &Surface<frame::Camera>,
     ) -> Self {
-        let mut samples = Vec::new();
+        let mut samples = List::new();
         panel_pixels(map.rays, camera, site, reach_mm, |i, ray, _| {
             let depth = &map.pixels[i];
             let held = depth.state == State::Valid && {
@@ -387,10 +387,10 @@ impl Samples {
 
     /// The patch about `site`.
     pub(crate) fn patch(&self, site: &Site<'_>, shape: &Shape<'_>) -> Result<Patch, Code> {
-        let (mut states, mut valid) = (Vec::new(), 0usize);
+        let (mut states, mut valid) = (List::new(), 0usize);
         let radii = site.radii();
         let mut sums = CellSums::new(radii[3]);
-        let mut used = Vec::new();
+        let mut used = List::new();
         let outward: Vector3<f64> = site.local.axes.column(2).into();
         let plane = OnPlane::new(&site.local);
         for sample in &self.0 {
@@ -447,7 +447,7 @@ mod tests {
             let uv = Vector2::from(index.map(|k| CELL_MM * (f64::from(k) + 0.5)));
             Cell { index, uv, w: 0.1 + 1e-3 * uv.x - 2e-3 * uv.y, variance: 1e-4 }
         };
-        let patch = Patch::new(here, index.map(cell).collect(), 1.0, &shape).expect("a plane");
+        let patch = Patch::new(here, List::of(index.map(cell)), 1.0, &shape).expect("a plane");
         let moved = patch.moved(there, &shape).expect("the same plane");
         for uv in [Vector2::new(0.0, 0.0), Vector2::new(30.0, -20.0), Vector2::new(-25.0, 40.0)] {
             let on = here.coordinates(moved.surface.point(&uv));

@@ -12,6 +12,8 @@ use crate::calibrate::{Health, MAX_EPIPOLAR_PX, Turn};
 use crate::code::Code;
 use crate::fringe::{Coordinate, CoordinateMap, EpipolarCell, State};
 use crate::geometry::robust;
+use crate::lent::List;
+use crate::vehicle::PerFeature;
 use nalgebra::Matrix6;
 use rayon::prelude::*;
 
@@ -33,7 +35,7 @@ impl Run<'_, '_> {
         let camera = &self.cycle.measurer.depth_rig.camera;
         let count = |site: &Site<'_>| {
             let (mut usable, mut against) = (0usize, 0usize);
-            body::panel_states(coordinates, &self.cycle.buffers.rays, camera, site, |state| {
+            body::panel_states(coordinates, &self.cycle.rays, camera, site, |state| {
                 usable += usize::from(matches!(state, State::Valid | State::NotSine | State::WrongOrder));
                 against += usize::from(matches!(state, State::NotSine | State::WrongOrder));
             });
@@ -61,8 +63,7 @@ impl Run<'_, '_> {
             return refused;
         }
         let (black, white) = (self.cycle.capture.camera.black_level, self.cycle.capture.camera.white_level());
-        let looked_at =
-            coordinates.pixels.iter().zip(self.cycle.buffers.fringes.wanted()).filter(|(_, wanted)| **wanted);
+        let looked_at = coordinates.pixels.iter().zip(self.cycle.fringes.wanted()).filter(|(_, wanted)| **wanted);
         let median = |of: &dyn Fn(&Coordinate) -> f64| {
             let all = looked_at.clone().map(|(c, _)| of(c)).filter(|v| v.is_finite());
             robust::median(&mut all.step_by(8).collect::<Vec<_>>())
@@ -90,7 +91,7 @@ impl Run<'_, '_> {
                 let (x, y) = (c.pixel.x - w.x as f64, c.pixel.y - w.y as f64);
                 (0.0..w.width as f64).contains(&x) && (0.0..w.height as f64).contains(&y)
             };
-            let mut off: Vec<f64> = self.cells.iter().filter(inside).map(|c| c.residual.abs()).collect();
+            let mut off = List::of(self.cells.iter().filter(inside).map(|c| c.residual.abs()));
             Some(robust::median(&mut off))
         };
         let found = sites.iter().zip(&m.templates).filter_map(|(site, t)| Some((residual(site)?, &t.feature)));
@@ -104,7 +105,7 @@ impl Run<'_, '_> {
     /// What this vehicle says of the calibration, where there are fringes of both axes.
     pub(super) fn health(&self) -> Option<Health> {
         let m = self.cycle.measurer;
-        let known = self.pose.map(|pose| self.evidence().iter().map(|e| e.known(&pose)).collect::<Vec<_>>());
+        let known = self.pose.map(|pose| self.evidence().iter().map(|e| e.known(&pose)).collect::<PerFeature<_>>());
         Health::new(&m.calibration, &m.errors, self.axis, &self.cells, &known.unwrap_or_default())
     }
 

@@ -11,17 +11,17 @@ use super::light::{Light, saturated_share};
 use super::locate::{Located, locate};
 use super::moved::Motion;
 use super::regions::Region;
-use super::workspace::Buffers;
+use super::workspace::Room;
 use super::{Drawing, Measurement, Measurer, Method, TYPICAL_DISTANCE_MM, detected};
 use crate::capture::{Capture, Fringes, TYPICAL_GAIN};
 use crate::code::Code;
-use crate::fringe::{self, Axis, Depth, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
+use crate::fringe::{self, Axis, EpipolarCell, NoiseLaw, Rays, State, epipolar_cells};
 use crate::geometry::{Pair, Point3, Pose, Surface, frame, register};
 use crate::image::{Image, Window};
+use crate::lent::{Lent, List, side_by_side};
 use crate::optics::{Lens, Pixel};
-use crate::vehicle::{Class, Template};
+use crate::vehicle::{Class, PerFeature, Template};
 use nalgebra::{Matrix3, Vector2, Vector3};
-use rayon::prelude::*;
 
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
 
@@ -79,24 +79,21 @@ const MAX_SATURATED: f64 = 0.25;
 pub struct Cycle<'a> {
     pub(super) measurer: &'a Measurer,
     pub(super) capture: &'a Capture,
-    pub(super) buffers: Buffers,
-    pub(super) red_saturated: Vec<f64>,
-    pub(super) regions: Vec<Result<Region, Code>>,
+    pub(super) red: Lent<Image<f32>>,
+    /// Of the pixels that depth is looked for in.
+    pub(super) rays: Rays,
+    pub(super) fringes: Fringes,
+    pub(super) red_saturated: PerFeature<f64>,
+    pub(super) regions: PerFeature<Result<Region, Code>>,
     pub(super) first_pose: Option<CameraFromVehicle>,
     pub(super) light: Light,
     /// Where edges were looked for before there was depth, and the edges; nowhere where their noise was not known.
-    early_edges: Option<(Vec<Window>, Vec<Vec<EdgeRay>>)>,
+    early_edges: Option<(PerFeature<Window>, List<List<EdgeRay>>)>,
     pub(super) moved: bool,
     /// Of the detector.
     warning: Option<String>,
-}
-
-impl Drop for Cycle<'_> {
-    fn drop(&mut self) {
-        let mut buffers = std::mem::take(&mut self.buffers);
-        buffers.wanted = buffers.fringes.take_wanted();
-        self.measurer.shared.workspace.give_back(buffers);
-    }
+    /// Of all this: the last to be dropped.
+    room: Room,
 }
 
 impl<'a> Cycle<'a> {
@@ -107,39 +104,56 @@ impl<'a> Cycle<'a> {
         red: &Image<u16>,
         ambient: Option<&Image<u16>>,
     ) -> Self {
+        let room = measurer.shared.workspace.room();
+        room.clone().serve(|| Self::served(measurer, capture, red, ambient, room))
+    }
+
+    fn served(
+        measurer: &'a Measurer,
+        capture: &'a Capture,
+        raw: &Image<u16>,
+        ambient: Option<&Image<u16>>,
+        room: Room,
+    ) -> Self {
         let camera = &measurer.calibration.rig.camera;
-        let mut buffers = measurer.shared.workspace.take();
-        let Buffers { red: as_f32, rays, wanted, fringes, .. } = &mut buffers;
-        ambient::without_into(red, ambient, &capture.camera, as_f32);
+        let red = ambient::without(raw, ambient, &capture.camera);
         let white = capture.camera.white_level();
-        let detected::Regions { regions, pose: first_pose, warning } = detected::regions(measurer, red, white, as_f32);
+        let detected::Regions { regions, pose: first_pose, warning } = detected::regions(measurer, raw, white, &red);
         let window = first_pose.and_then(|pose| depth_window(measurer, &pose)).unwrap_or(Window::whole(1, 1));
-        rays.renew(&measurer.depth_rig.camera, window);
-        wanted.clear();
-        if let Some(pose) = first_pose {
-            want(measurer, &pose, rays, wanted);
-        }
+        let rays = Rays::new(&measurer.depth_rig.camera, window);
+        let wanted = first_pose.map_or_else(List::new, |pose| wanted(measurer, &pose, &rays));
         let red_saturated = measurer
             .templates
             .iter()
-            .map(|t| first_pose.map_or(0.0, |pose| saturated_share(red, white, camera, &t.local(&pose).origin.xyz)))
+            .map(|t| first_pose.map_or(0.0, |pose| saturated_share(raw, white, camera, &t.local(&pose).origin.xyz)))
             .collect();
-        let light = Light::new(as_f32, capture.camera.black_level);
+        let light = Light::new(&red, capture.camera.black_level);
         let early_edges = first_pose.and_then(|pose| {
             let noise = stated_red_noise(capture)?;
             let windows = contour_windows(measurer, &pose, EDGE_MARGIN_MM);
-            let edges = edge_rays(as_f32, &windows, &noise, camera);
+            let edges = edge_rays(&red, &windows, &noise, camera);
             Some((windows, edges))
         });
-        let (spare, wanted) = (std::mem::replace(fringes, Fringes::none()), std::mem::take(wanted));
-        *fringes = Fringes::as_they_come(spare, capture, window, measurer.every, wanted);
-        let moved = false;
-        Self { measurer, capture, buffers, red_saturated, regions, first_pose, light, early_edges, moved, warning }
+        Self {
+            measurer,
+            capture,
+            red,
+            rays,
+            fringes: Fringes::as_they_come(capture, window, measurer.every, wanted),
+            red_saturated,
+            regions,
+            first_pose,
+            light,
+            early_edges,
+            moved: false,
+            warning,
+            room,
+        }
     }
 
     /// Takes image `step` of fringe set `set`, in any order.
     pub fn add_fringe(&mut self, set: usize, step: u32, image: &Image<u16>) -> Result<(), fringe::Error> {
-        self.buffers.fringes.add(set, step, image)
+        self.room.serve(|| self.fringes.add(set, step, image))
     }
 
     /// Takes `repeat`, the first fringe image once more at the end: where it differs from `first` by more than noise
@@ -152,8 +166,7 @@ impl<'a> Cycle<'a> {
         let gain = self.capture.fringes.first().and_then(|f| f.gain_dn_per_e).unwrap_or(TYPICAL_GAIN);
         let camera = &self.capture.camera;
         let noise = NoiseLaw::from_sensor(gain, camera.read_noise_e.unwrap_or(0.0), camera.black_level);
-        let Some(motion) =
-            Motion::between(first, repeat, self.buffers.fringes.in_image(first), camera.white_level(), &noise)
+        let Some(motion) = Motion::between(first, repeat, self.fringes.in_image(first), camera.white_level(), &noise)
         else {
             return false;
         };
@@ -163,43 +176,40 @@ impl<'a> Cycle<'a> {
 
     /// The measurement. `ended` is told when each stage has ended.
     pub fn finish(mut self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
-        let mut depths = std::mem::take(&mut self.buffers.depths);
-        let pixels = std::mem::take(&mut self.buffers.coordinates);
-        let mut decoded = Decoded::wanted(pixels, &mut self.buffers.fringes, self.capture);
+        self.room.clone().serve(|| self.result(ended))
+    }
+
+    fn result(&mut self, ended: &mut dyn FnMut(Stage)) -> (Measurement, Drawing) {
+        let mut decoded = Decoded::wanted(&mut self.fringes, self.capture);
         let mut run = Run {
-            cycle: &self,
-            located: Vec::new(),
+            cycle: self,
+            located: PerFeature::new(),
             pose: None,
             coverage: None,
             axis: Axis::Column,
-            cells: Vec::new(),
+            cells: List::new(),
         };
         let mut measurement = match self.measurer.method {
-            Method::Points | Method::Dense => run.measurement(decoded.as_mut(), &mut depths, ended),
-            Method::Published => run.published(decoded.as_mut(), &mut depths, ended),
+            Method::Points | Method::Dense => run.measurement(decoded.as_mut(), ended),
+            Method::Published => run.published(decoded.as_mut(), ended),
         };
         ended(Stage::Pose);
         measurement.station = self.measurer.station();
         measurement.warning = self.warning.clone();
-        let drawing = run.drawing();
-        if let Ok(decoded) = decoded {
-            decoded.give_back(&mut self.buffers.fringes, &mut self.buffers.coordinates);
-        }
-        self.buffers.depths = depths;
-        (measurement, drawing)
+        (measurement, run.drawing())
     }
 }
 
 /// What a finished pass knows of each feature.
 pub(super) struct Run<'c, 'a> {
     pub(super) cycle: &'c Cycle<'a>,
-    pub(super) located: Vec<Result<Located, Code>>,
+    pub(super) located: PerFeature<Result<Located, Code>>,
     pub(super) pose: Option<CameraFromVehicle>,
     pub(super) coverage: Option<f64>,
     /// Of the projector, that depth comes from.
     pub(super) axis: Axis,
     /// How far the fringes of the other axis lie off the epipolar lines; empty without.
-    pub(super) cells: Vec<EpipolarCell>,
+    pub(super) cells: List<EpipolarCell>,
 }
 
 impl<'c> Run<'c, '_> {
@@ -210,12 +220,11 @@ impl<'c> Run<'c, '_> {
     fn measurement(
         &mut self,
         mut decoded: Result<&mut Decoded, &mut fringe::Error>,
-        depths: &mut Vec<Depth>,
         ended: &mut dyn FnMut(Stage),
     ) -> Measurement {
         let outcome = self.usable().and_then(|()| {
             let decoded = decoded.as_deref_mut().map_err(|e| &mut **e);
-            self.pose(decoded, depths, ended)
+            self.pose(decoded, ended)
         });
         let outcome = match &decoded {
             Ok(decoded) => outcome.map_err(|refused| self.or_other_light(refused, &decoded.coordinates)),
@@ -254,7 +263,6 @@ impl<'c> Run<'c, '_> {
     fn pose(
         &mut self,
         decoded: Result<&mut Decoded, &mut fringe::Error>,
-        depths: &mut Vec<Depth>,
         ended: &mut dyn FnMut(Stage),
     ) -> Result<Judged, Refused> {
         let c = self.cycle;
@@ -268,19 +276,17 @@ impl<'c> Run<'c, '_> {
         ended(Stage::Decode);
 
         let far = sites(templates, &m.far, &first);
-        let mut body = self.depth(decoded, depths, &far)?;
+        let mut body = self.depth(decoded, &far)?;
         let mut pose = self.second_pose(&body.coarse).unwrap_or(first);
         if !within(&pose, &first, m, MARGIN_USED_MM) {
             // regions were decoded about another place: once more, everywhere
-            *depths = body.map.pixels;
-            *decoded = Decoded::new(&c.buffers.fringes, c.capture).map_err(|mut e| ambiguous(&mut e))?;
-            body = self.depth(decoded, depths, &far)?;
+            drop(body);
+            decoded.everywhere(&c.fringes, c.capture).map_err(|mut e| ambiguous(&mut e))?;
+            body = self.depth(decoded, &far)?;
             pose = self.second_pose(&body.coarse).unwrap_or(first);
         }
         ended(Stage::Surface);
-        let outcome = self.on_body(&body, pose, &red_noise, ended);
-        *depths = body.map.pixels;
-        outcome
+        self.on_body(&body, pose, &red_noise, ended)
     }
 
     /// The pose of the features on `body`, found from a `pose` near it.
@@ -296,7 +302,7 @@ impl<'c> Run<'c, '_> {
         let rays = self.edges(&contour_windows(m, &pose, 0.0), red_noise);
         let mut samples = self.samples(body, &pose);
         let mut sampled_at = pose;
-        let mut patches: Vec<Result<Patch, Code>> = Vec::new();
+        let mut patches: PerFeature<Result<Patch, Code>> = PerFeature::new();
         let mut patched_at = None;
         for pass in 0..MAX_PASSES {
             if !within(&pose, &sampled_at, m, MARGIN_MM) {
@@ -305,7 +311,7 @@ impl<'c> Run<'c, '_> {
             let capture = if pass == 0 { CAPTURE_MM.0 } else { CAPTURE_MM.1 };
             let sites = sites(templates, if pass == 0 { &m.far } else { &m.near }, &pose);
             let near = patched_at.is_some_and(|at| within(&pose, &at, m, PATCHED_MM));
-            let found = |k: usize| {
+            let mut found = side_by_side(templates.len(), |k| {
                 if c.red_saturated[k] > MAX_SATURATED {
                     return (Err(Code::Saturated), Err(Code::Saturated));
                 }
@@ -320,9 +326,8 @@ impl<'c> Run<'c, '_> {
                         .map_err(|code| c.regions[k].err().unwrap_or(code))
                 });
                 (patch, located)
-            };
-            let found: Vec<_> = (0..templates.len()).into_par_iter().map(found).collect();
-            (patches, self.located) = found.into_iter().unzip();
+            });
+            (patches, self.located) = found.drain(..).unzip();
             if pass > 0 && !near {
                 patched_at = Some(pose);
             }
@@ -354,20 +359,15 @@ impl<'c> Run<'c, '_> {
     }
 
     /// Depth of the body about the `far` sites, and what the fringes say of themselves and of the calibration.
-    fn depth(
-        &mut self,
-        decoded: &mut Decoded,
-        depths: &mut Vec<Depth>,
-        far: &[Site<'_>],
-    ) -> Result<BodyDepth<'c>, Refused> {
+    fn depth(&mut self, decoded: &mut Decoded, far: &[Site<'_>]) -> Result<BodyDepth<'c>, Refused> {
         let c = self.cycle;
         let m = c.measurer;
-        let body = BodyDepth::new(depths, &m.depth_rig, &c.buffers.rays, &mut decoded.coordinates, far);
+        let body = BodyDepth::new(&m.depth_rig, &c.rays, &mut decoded.coordinates, far);
         let coordinates = &decoded.coordinates;
         let Some(body) = body else {
-            let wanted = c.buffers.fringes.wanted();
+            let wanted = c.fringes.wanted();
             let looked_at = coordinates.pixels.iter().zip(wanted).filter(|(_, wanted)| **wanted);
-            let states: Vec<State> = looked_at.map(|(c, _)| c.state).collect();
+            let states = List::of(looked_at.map(|(c, _)| c.state));
             let usable = states.iter().filter(|s| **s == State::Valid).count();
             let code = body::why_no_depth(&states, usable);
             for located in self.located.iter_mut().filter(|l| matches!(l, Err(Code::TooFewFeatures))) {
@@ -383,40 +383,41 @@ impl<'c> Run<'c, '_> {
         let refused = self.contradictory(coordinates, far).or_else(|| self.epipolar(far));
         if let Some(refused) = refused {
             self.located.clear(); // no feature is to blame
-            *depths = body.map.pixels;
             return Err(refused);
         }
         Ok(body)
     }
 
     /// The edges in `windows`; those in two of them twice.
-    fn edges(&self, windows: &[Window], noise: &NoiseLaw) -> Vec<EdgeRay> {
+    fn edges(&self, windows: &[Window], noise: &NoiseLaw) -> List<EdgeRay> {
         let c = self.cycle;
         let holds = |(a, b): (&Window, &Window)| {
             a.x <= b.x && a.y <= b.y && a.x + a.width >= b.x + b.width && a.y + a.height >= b.y + b.height
         };
         let early = c.early_edges.as_ref().filter(|(early, _)| early.len() == windows.len());
         let Some((_, edges)) = early.filter(|(early, _)| early.iter().zip(windows).all(holds)) else {
-            return edge_rays(&c.buffers.red, windows, noise, &c.measurer.calibration.rig.camera).concat();
+            let edges = edge_rays(&c.red, windows, noise, &c.measurer.calibration.rig.camera);
+            return List::of(edges.iter().flatten().copied());
         };
-        let inside = |(edges, w): (&Vec<EdgeRay>, &Window)| {
+        let mut all = List::new();
+        for (edges, w) in edges.iter().zip(windows) {
             let (from, to) = (Pixel::new(w.x as f64, w.y as f64), Pixel::new(w.width as f64, w.height as f64));
-            let inside = move |e: &&EdgeRay| {
+            let inside = |e: &&EdgeRay| {
                 let p = e.edgel.position - from;
                 p.x > 0.5 && p.y > 0.5 && p.x < to.x - 1.5 && p.y < to.y - 1.5
             };
-            edges.iter().filter(inside).copied().collect::<Vec<_>>()
-        };
-        edges.iter().zip(windows).flat_map(inside).collect()
+            all.extend(edges.iter().filter(inside).copied());
+        }
+        all
     }
 
     /// The pixels about each feature of a vehicle that stands near `pose`.
-    fn samples(&self, body: &BodyDepth<'_>, pose: &CameraFromVehicle) -> Vec<Samples> {
+    fn samples(&self, body: &BodyDepth<'_>, pose: &CameraFromVehicle) -> List<Samples> {
         let m = self.cycle.measurer;
         let sites = sites(&m.templates, &m.grown, pose);
-        let about =
-            |(site, reach): (&Site<'_>, &f64)| Samples::new(&body.map, &m.depth_rig.camera, site, *reach, &body.coarse);
-        sites.par_iter().zip(&m.reach_mm).map(about).collect()
+        side_by_side(sites.len(), |k| {
+            Samples::new(&body.map, &m.depth_rig.camera, &sites[k], m.reach_mm[k], &body.coarse)
+        })
     }
 
     fn too_few(&self) -> Refused {
@@ -434,7 +435,7 @@ impl<'c> Run<'c, '_> {
             _ => Code::TooFewFeatures,
         };
         let contours = codes.iter().all(|c| (401..=406).contains(&c.number()));
-        let blur = || self.cycle.light.blur_px(&self.cycle.buffers.red).filter(|blur| *blur > MAX_BLUR_PX);
+        let blur = || self.cycle.light.blur_px(&self.cycle.red).filter(|blur| *blur > MAX_BLUR_PX);
         if let Some(blur) = contours.then(blur).flatten() {
             let detail = format!(
                 "Its sharpest edges are blurred by {blur:.1} px, allowed {MAX_BLUR_PX} px. {}.",
@@ -446,7 +447,7 @@ impl<'c> Run<'c, '_> {
         Self::refuse(code, format!("{three}{}.", reasons.join(", ")))
     }
 
-    pub(super) fn evidence(&self) -> Vec<Evidence<'_>> {
+    pub(super) fn evidence(&self) -> PerFeature<Evidence<'_>> {
         let m = self.cycle.measurer;
         m.vehicle
             .features
@@ -464,7 +465,7 @@ impl<'c> Run<'c, '_> {
         let c = self.cycle;
         let camera = &c.measurer.calibration.rig.camera;
         let pose = c.first_pose?;
-        let mut pairs = Vec::new();
+        let mut pairs = PerFeature::new();
         for (template, region) in c.measurer.templates.iter().zip(&c.regions) {
             let Ok(region) = region else { continue };
             let axes = template.local(&pose).axes;
@@ -472,20 +473,24 @@ impl<'c> Run<'c, '_> {
             let along = if judge::slides(template) { 15.0f64 } else { 1.5 };
             let sigma = Matrix3::from_diagonal(&Vector3::new(along.powi(2), 2.0, 0.1));
             let nominal = Point3::new(Vector3::from(template.point_mm));
-            pairs.push(Pair { measured, nominal, covariance: axes * sigma * axes.transpose() });
+            let pair = Pair { measured, nominal, covariance: axes * sigma * axes.transpose() };
+            pairs.extend([pair]);
         }
         let all = register(&pairs).ok()?;
         if all.chi2 <= CONTRADICTING {
             return Some(all.a_from_b);
         }
         // one region may be something beside its feature: the three that agree tell
-        let without = |k: usize| register(&[&pairs[..k], &pairs[k + 1..]].concat()).ok();
+        let without = |k: usize| {
+            let rest = pairs.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, pair)| *pair);
+            register(&rest.collect::<PerFeature<_>>()).ok()
+        };
         let best = (0..pairs.len()).filter_map(without).min_by(|a, b| a.chi2.total_cmp(&b.chi2));
         Some(best.filter(|b| b.chi2 <= CONTRADICTING).unwrap_or(all).a_from_b)
     }
 }
 
-pub(super) fn sites<'m>(templates: &[Template], panels: &'m [Panel], pose: &CameraFromVehicle) -> Vec<Site<'m>> {
+pub(super) fn sites<'m>(templates: &[Template], panels: &'m [Panel], pose: &CameraFromVehicle) -> PerFeature<Site<'m>> {
     templates.iter().zip(panels).map(|(t, panel)| Site { local: t.local(pose), panel }).collect()
 }
 
@@ -514,12 +519,13 @@ fn depth_window(m: &Measurer, pose: &CameraFromVehicle) -> Option<Window> {
 
 /// Which pixels of the window are worth decoding: the panel about the features of a vehicle near `pose`, and those that
 /// the calibration's health is told from.
-fn want(m: &Measurer, pose: &CameraFromVehicle, rays: &Rays, wanted: &mut Vec<bool>) {
+fn wanted(m: &Measurer, pose: &CameraFromVehicle, rays: &Rays) -> List<bool> {
     let Window { width, height, .. } = rays.window;
-    wanted.extend((0..width * height).map(|i| fringe::is_sampled(&rays.window, i % width, i / width)));
+    let mut wanted = List::of((0..width * height).map(|i| fringe::is_sampled(&rays.window, i % width, i / width)));
     for (site, reach) in sites(&m.templates, &m.grown, pose).iter().zip(&m.reach_mm) {
         body::panel_pixels(rays, &m.depth_rig.camera, site, *reach, |i, _, _| wanted[i] = true);
     }
+    wanted
 }
 
 /// Whether every place about a feature of a vehicle at `pose` is, as the camera sees it, within `margin_mm` of where a
@@ -537,7 +543,7 @@ fn within(pose: &CameraFromVehicle, guess: &CameraFromVehicle, m: &Measurer, mar
 }
 
 /// The regions to find edges in, `margin_mm` wider than a vehicle at `pose` needs.
-pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle, margin_mm: f64) -> Vec<Window> {
+pub(super) fn contour_windows(m: &Measurer, pose: &CameraFromVehicle, margin_mm: f64) -> PerFeature<Window> {
     let reach = |t: &Template| t.contour.iter().map(|p| p.at().norm()).fold(0.0, f64::max);
     let half = |t| reach(t) + 2.0 * CAPTURE_MM.0 + margin_mm;
     let camera = &m.calibration.rig.camera;

@@ -15,7 +15,8 @@ use crate::code::Code;
 use crate::geometry::{
     Distance, Joint, Pair, Point3, Polynomial, Pose, Registration, frame, motion_jacobian, register, register_jointly,
 };
-use crate::vehicle::{Feature, Template};
+use crate::lent::List;
+use crate::vehicle::{Feature, PerFeature, Template};
 use nalgebra::{Matrix3, Matrix6, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
 
@@ -66,8 +67,8 @@ pub(super) fn step(
     pose: &CameraFromVehicle,
     at: &Vector3<f64>,
 ) -> Option<Dense> {
-    let mut distances = Vec::new();
-    let mut priors = Vec::new();
+    let mut distances = List::new();
+    let mut priors = List::new();
     for (part, region) in regions.iter().enumerate() {
         let body = region.feature.position_sigma_mm;
         let edge = (SHIFT_SHARE * judge::edge_bias_mm(region.located)).hypot(body);
@@ -110,13 +111,13 @@ impl ToVehicle {
 
 fn contour(region: &Region<'_>, part: usize, rays: &[EdgeRay], distances: &mut Vec<Distance>) {
     let t = region.template;
-    let taught: Vec<_> = t.contour.iter().map(|p| (p.at(), p.normal())).collect();
+    let taught = List::of(t.contour.iter().map(|p| (p.at(), p.normal())));
     let n = taught.len() as f64;
     let reach = taught.iter().map(|p| p.0.norm()).fold(0.0, f64::max) + CAPTURE_MM;
     let middle = taught.iter().map(|p| p.0).sum::<Vector2<f64>>() / n;
     let gyration = (taught.iter().map(|p| (p.0 - middle).norm_squared()).sum::<f64>() / n).sqrt();
     let to_vehicle = ToVehicle::new(t);
-    for edge in on_panel(rays, &region.patch, t.edge_depth_mm, reach) {
+    for edge in &on_panel(rays, &region.patch, t.edge_depth_mm, reach) {
         let p = edge.point.position;
         let nearest = taught
             .iter()
@@ -182,7 +183,7 @@ impl Run<'_, '_> {
         let m = self.cycle.measurer;
         let evidence = self.evidence();
         let at = evidence.iter().map(|e| e.feature.position().xyz).sum::<Vector3<f64>>() / evidence.len() as f64;
-        let located: Vec<usize> = (0..self.located.len()).filter(|k| self.located[*k].is_ok()).collect();
+        let located: PerFeature<usize> = (0..self.located.len()).filter(|k| self.located[*k].is_ok()).collect();
         let mut still = None;
         for _ in 0..MAX_STEPS {
             let sites = sites(&m.templates, &m.near, &pose);
@@ -226,8 +227,7 @@ impl Run<'_, '_> {
             let detail = format!("They are {apart_mm:.3} mm or {sigmas:.1} sigmas apart, allowed {DISAGREEING}.");
             return Err(refused(Code::DenseDisagrees, detail));
         }
-        let residuals: Vec<Vector3<f64>> =
-            evidence.iter().map(|e| pose.inverse() * e.located.point - e.feature.position()).collect();
+        let residuals = List::of(evidence.iter().map(|e| pose.inverse() * e.located.point - e.feature.position()));
         let to_vehicle = *pose.r.inverse().matrix();
         let mut judged = Judged {
             covariance: joint.covariance + self.taught_covariance(&dense.at) + judge::common_mode(evidence, &pose),
@@ -261,7 +261,7 @@ impl Run<'_, '_> {
                 covariance: axes * t.covariance() * axes.transpose() + body,
             }
         };
-        let pairs: Vec<_> = m.features().map(pair).collect();
+        let pairs: PerFeature<_> = m.features().map(pair).collect();
         let registration = register(&pairs).expect("it was taught from these points");
         let mut to = Matrix6::identity();
         to.fixed_view_mut::<3, 6>(0, 0).copy_from(&motion_jacobian(at, &registration.at.xyz));
@@ -284,7 +284,7 @@ fn disagreement(
             + e.paint_covariance()
             + Matrix3::identity() * e.feature.position_sigma_mm.powi(2),
     };
-    let points = register(&evidence.iter().map(pair).collect::<Vec<_>>()).ok()?;
+    let points = register(&evidence.iter().map(pair).collect::<PerFeature<_>>()).ok()?;
     let between = pose.inverse() * points.a_from_b;
     let (shift, turn) = ((between * points.at) - points.at, between.r.scaled_axis());
     let off = Vector6::new(shift.x, shift.y, shift.z, turn.x, turn.y, turn.z);

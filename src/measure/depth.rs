@@ -4,9 +4,10 @@
 
 use super::body::{self, Site};
 use crate::calibrate::MAX_EPIPOLAR_PX;
-use crate::capture::{Capture, Fringes, TYPICAL_GAIN, coordinates, coordinates_reusing};
-use crate::fringe::{self, Axis, Coordinate, CoordinateMap, Depth, DepthMap, Limits, NoiseLaw, PhaseMap, Rays};
+use crate::capture::{Capture, Fringes, TYPICAL_GAIN, coordinates};
+use crate::fringe::{self, Axis, CoordinateMap, DepthMap, Limits, NoiseLaw, PhaseMap, Rays};
 use crate::geometry::{Surface, frame};
+use crate::lent::List;
 
 /// Depth is looked at about this densely on the body at the design's distance, mm, and no denser, however fine the camera.
 /// A patch's cells of 3 mm then hold a dozen samples each, and there are a thousand of them: its noise stays below 2 µm.
@@ -16,11 +17,11 @@ pub(super) const LATTICE_MM: f64 = 0.75;
 pub(super) struct Decoded {
     /// Along the columns, or the rows where only they are absolute.
     pub(super) coordinates: CoordinateMap,
-    phases: Vec<PhaseMap>,
+    phases: List<PhaseMap>,
     /// Which of them are the finest along the other axis, if there are any that tell a row from the next.
     across: Option<usize>,
     /// The noise law of each set.
-    pub(super) noise: Vec<NoiseLaw>,
+    pub(super) noise: List<NoiseLaw>,
 }
 
 impl Decoded {
@@ -28,28 +29,19 @@ impl Decoded {
     pub(super) fn new(fringes: &Fringes, capture: &Capture) -> Result<Self, fringe::Error> {
         let noise = fringes.noise(capture);
         let phases = fringes.phases(&noise, &Limits::default())?;
-        Self::of(Vec::new(), phases, noise, capture)
+        Self::of(phases, noise, capture)
     }
 
-    /// Where it is wanted, most of it decoded as it came; in the buffer of `pixels`.
-    pub(super) fn wanted(
-        pixels: Vec<Coordinate>,
-        fringes: &mut Fringes,
-        capture: &Capture,
-    ) -> Result<Self, fringe::Error> {
+    /// Where it is wanted, most of it decoded as it came.
+    pub(super) fn wanted(fringes: &mut Fringes, capture: &Capture) -> Result<Self, fringe::Error> {
         let noise = fringes.noise(capture);
         let phases = fringes.take_phases(&noise)?;
-        Self::of(pixels, phases, noise, capture)
+        Self::of(phases, noise, capture)
     }
 
-    fn of(
-        pixels: Vec<Coordinate>,
-        phases: Vec<PhaseMap>,
-        noise: Vec<NoiseLaw>,
-        capture: &Capture,
-    ) -> Result<Self, fringe::Error> {
+    fn of(phases: List<PhaseMap>, noise: List<NoiseLaw>, capture: &Capture) -> Result<Self, fringe::Error> {
         let limits = Limits::default();
-        let coordinates = match coordinates_reusing(pixels, capture, &phases, Axis::Column, &limits) {
+        let coordinates = match coordinates(capture, &phases, Axis::Column, &limits) {
             Err(e) => coordinates(capture, &phases, Axis::Row, &limits).map_err(|_| e)?,
             Ok(map) => map,
         };
@@ -61,14 +53,15 @@ impl Decoded {
         Ok(Self { coordinates, phases, across, noise })
     }
 
-    pub(super) fn across(&self) -> Option<&PhaseMap> {
-        self.across.map(|k| &self.phases[k])
+    /// The same everywhere in the window, in the room of what it was.
+    pub(super) fn everywhere(&mut self, fringes: &Fringes, capture: &Capture) -> Result<(), fringe::Error> {
+        self.phases.clear();
+        *self = Self::new(fringes, capture)?;
+        Ok(())
     }
 
-    /// The buffers, for the next capture.
-    pub(super) fn give_back(self, fringes: &mut Fringes, pixels: &mut Vec<Coordinate>) {
-        fringes.give_back(self.phases);
-        *pixels = self.coordinates.pixels;
+    pub(super) fn across(&self) -> Option<&PhaseMap> {
+        self.across.map(|k| &self.phases[k])
     }
 }
 
@@ -96,19 +89,15 @@ pub(super) struct BodyDepth<'a> {
 }
 
 impl<'a> BodyDepth<'a> {
-    /// In the buffer of `pixels`, which is left empty unless there is no such surface.
+    /// `None` where there is no such surface.
     pub(super) fn new(
-        pixels: &mut Vec<Depth>,
         rig: &crate::optics::Rig,
         rays: &'a Rays,
         coordinates: &mut CoordinateMap,
         sites: &[Site<'_>],
     ) -> Option<Self> {
-        let mut map = DepthMap::reusing(std::mem::take(pixels), rig, rays, coordinates);
-        let Some(mut coarse) = body::coarse(&map, &rig.camera, sites) else {
-            *pixels = map.pixels;
-            return None;
-        };
+        let mut map = DepthMap::new(rig, rays, coordinates);
+        let mut coarse = body::coarse(&map, &rig.camera, sites)?;
         let axis = coordinates.axis;
         let expected = |x: usize, y: usize| {
             let ray = rays.at(x, y);
@@ -116,7 +105,8 @@ impl<'a> BodyDepth<'a> {
             fringe::projector_coordinate(rig, axis, &met)
         };
         if coordinates.predict(&Limits::default(), expected) > 0 {
-            map = DepthMap::reusing(map.pixels, rig, rays, coordinates);
+            drop(map);
+            map = DepthMap::new(rig, rays, coordinates);
             coarse = body::coarse(&map, &rig.camera, sites)?;
         }
         Some(Self { map, coarse })

@@ -12,8 +12,9 @@ use crate::contour::Match;
 use crate::detect::Detection;
 use crate::geometry::{Pose, frame};
 use crate::image::Image;
+use crate::lent::List;
 use crate::optics::{Lens, Pixel};
-use crate::vehicle::Template;
+use crate::vehicle::{PerFeature, Template};
 use nalgebra::{Vector2, Vector3};
 
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
@@ -30,7 +31,7 @@ const BORDER: f64 = 0.005;
 /// Where the features are.
 pub(super) struct Regions {
     /// One per template.
-    pub(super) regions: Vec<Result<Region, Code>>,
+    pub(super) regions: PerFeature<Result<Region, Code>>,
     /// From them.
     pub(super) pose: Option<CameraFromVehicle>,
     /// Why the detector was of no use, other than that it found too little.
@@ -59,15 +60,15 @@ pub(super) fn regions(m: &Measurer, raw: &Image<u16>, white: f64, red: &Image<f3
 }
 
 /// The boxes that lie to each other as the model's features do, and the pose that makes them do so.
-fn fitting(found: &[Detection], m: &Measurer) -> Option<(Vec<Result<Region, Code>>, CameraFromVehicle)> {
+fn fitting(found: &[Detection], m: &Measurer) -> Option<(PerFeature<Result<Region, Code>>, CameraFromVehicle)> {
     let (camera, templates) = (&m.calibration.rig.camera, &m.templates);
-    let candidates: Vec<Vec<Match>> = m
+    let candidates: PerFeature<List<Match>> = m
         .vehicle
         .features
         .iter()
         .map(|f| {
             let boxes = found.iter().filter(|d| d.class == f.class.index() && is_whole(d, camera));
-            boxes.take(KEPT).map(|d| Match { at: middle(d.sides), score: d.score }).collect()
+            List::of(boxes.take(KEPT).map(|d| Match { at: middle(d.sides), score: d.score }))
         })
         .collect();
     let taught = templates.first()?.taught_pose();

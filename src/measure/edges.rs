@@ -2,14 +2,13 @@
 //! Not here: which of them belong to a feature, how far away they are.
 
 use super::TYPICAL_DISTANCE_MM;
-use crate::contour::{EdgeFilter, Edgel, cross_level, find_edges};
+use crate::contour::{Buckets, EdgeFilter, Edgel, cross_level, find_edges};
 use crate::fringe::NoiseLaw;
 use crate::geometry::robust;
 use crate::image::{Image, Window};
+use crate::lent::{Lent, List, side_by_side};
 use crate::optics::{Lens, Pixel};
 use nalgebra::Vector3;
-use rayon::prelude::*;
-use std::collections::HashMap;
 
 /// An edgel with its ray, and the ray through the point 1 px towards bright; camera frame, z = 1.
 #[derive(Clone, Copy, Debug)]
@@ -27,31 +26,30 @@ const LEVEL_CELLS: usize = 40;
 /// The body's grey level over an image: the brightest of the medians of neighbouring cells, interpolated.
 pub(crate) struct Levels {
     side: usize,
-    cells: Image<f32>,
+    cells: Lent<Image<f32>>,
 }
 
 impl Levels {
     pub(crate) fn new(image: &Image<f32>) -> Self {
         let side = (image.width / LEVEL_CELLS).max(8);
         let (columns, rows) = (image.width.div_ceil(side), image.height.div_ceil(side));
-        let mut medians = Image::filled(columns, rows, 0f32);
-        medians.pixels.par_chunks_mut(columns).enumerate().for_each(|(j, medians)| {
-            let mut values = Vec::with_capacity(side * side);
-            for (i, median) in medians.iter_mut().enumerate() {
+        let medians = side_by_side(rows, |j| {
+            let mut values = List::new();
+            List::of((0..columns).map(|i| {
                 values.clear();
                 for y in j * side..((j + 1) * side).min(image.height) {
                     values.extend_from_slice(&image.row(y)[i * side..((i + 1) * side).min(image.width)]);
                 }
                 let middle = values.len() / 2;
-                *median = *values.select_nth_unstable_by(middle, f32::total_cmp).1;
-            }
+                *values.select_nth_unstable_by(middle, f32::total_cmp).1
+            }))
         });
         let level = |i: usize, j: usize| {
             let around = (j.saturating_sub(1)..=(j + 1).min(rows - 1))
                 .flat_map(|j| (i.saturating_sub(1)..=(i + 1).min(columns - 1)).map(move |i| (i, j)));
-            around.map(|(i, j)| medians.at(i, j)).fold(0.0, f32::max)
+            around.map(|(i, j)| medians[j][i]).fold(0.0, f32::max)
         };
-        let mut cells = Image::filled(columns, rows, 0f32);
+        let mut cells = Image::lent(columns, rows, 0f32);
         for j in 0..rows {
             for i in 0..columns {
                 cells.row_mut(j)[i] = level(i, j);
@@ -62,12 +60,12 @@ impl Levels {
 
     /// The body's level where there is as much brighter as darker.
     fn median(&self) -> f64 {
-        robust::median(&mut self.cells.pixels.iter().map(|v| f64::from(*v)).collect::<Vec<_>>())
+        robust::median(&mut List::of(self.cells.pixels.iter().map(|v| f64::from(*v))))
     }
 
     /// The part of `image` in `window` with everything brighter than the body about it cut off: hems glint, and a
     /// glint beside a gap moves the gap's edge. And the body's level there.
-    pub(crate) fn without_glints(&self, image: &Image<f32>, window: Window) -> (Image<f32>, Image<f32>) {
+    pub(crate) fn without_glints(&self, image: &Image<f32>, window: Window) -> [Lent<Image<f32>>; 2] {
         let place = |p: usize, n: usize| {
             let c = ((p as f32 + 0.5) / self.side as f32 - 0.5).clamp(0.0, (n - 1) as f32);
             let first = (c as usize).min(n.saturating_sub(2));
@@ -75,8 +73,7 @@ impl Levels {
         };
         let Window { x, y, width, height } = window;
         let (cells, columns) = (&self.cells, self.cells.width);
-        let mut out = Image::filled(width, height, 0f32);
-        let mut body = out.clone();
+        let [mut out, mut body] = [(); 2].map(|()| Image::lent(width, height, 0f32));
         for row in 0..height {
             let (j0, j1, t) = place(y + row, cells.height);
             let (top, bottom) = (cells.row(j0), cells.row(j1));
@@ -90,7 +87,7 @@ impl Levels {
                 *value = raw.min(*level);
             }
         }
-        (out, body)
+        [out, body]
     }
 }
 
@@ -117,19 +114,24 @@ const SMOOTHING_MM: f64 = 0.39;
 const PAD_PX: usize = 10;
 
 /// The edges inside each of `windows`; glints do not count.
-pub(crate) fn edge_rays(image: &Image<f32>, windows: &[Window], noise: &NoiseLaw, camera: &Lens) -> Vec<Vec<EdgeRay>> {
+pub(crate) fn edge_rays(
+    image: &Image<f32>,
+    windows: &[Window],
+    noise: &NoiseLaw,
+    camera: &Lens,
+) -> List<List<EdgeRay>> {
     let levels = Levels::new(image);
     let contrast = levels.median().max(20.0) * LEAST_SLOPE[0].min(LEAST_SLOPE[1] * TYPICAL_DISTANCE_MM / camera.fx);
     let plain = EdgeFilter::default();
     let sigma = plain.sigma.max(SMOOTHING_MM * camera.fx / TYPICAL_DISTANCE_MM);
     let filter = EdgeFilter { sigma, start: (10.0, contrast), keep: (5.0, 0.4 * contrast) };
     let reach = reach_px(camera);
-    let inside = |window: &Window| {
-        let pad = reach.ceil() as usize + PAD_PX;
+    side_by_side(windows.len(), |k| {
+        let (window, pad) = (&windows[k], reach.ceil() as usize + PAD_PX);
         let (x, y) = (window.x.saturating_sub(pad), window.y.saturating_sub(pad));
         let (right, bottom) = (window.x + window.width + pad, window.y + window.height + pad);
         let around = Window { x, y, width: right.min(image.width) - x, height: bottom.min(image.height) - y };
-        let (plain, level) = levels.without_glints(image, around);
+        let [plain, level] = levels.without_glints(image, around);
         let found = find_edges(&plain, Window { x: window.x - x, y: window.y - y, ..*window }, &filter, |level| {
             noise.variance(level)
         });
@@ -140,34 +142,27 @@ pub(crate) fn edge_rays(image: &Image<f32>, windows: &[Window], noise: &NoiseLaw
         let crossings = cross_level(&plain, &found, reach, body, |level| noise.variance(level));
         let corner = Pixel::new(x as f64, y as f64);
         let soft = softness(&crossings);
-        let ray = |(edgel, softness_px): (Edgel, f64)| {
-            let edgel = Edgel { position: edgel.position + corner, ..edgel };
+        let ray = |(edgel, softness_px): (&Edgel, &f64)| {
+            let (edgel, softness_px) = (Edgel { position: edgel.position + corner, ..*edgel }, *softness_px);
             let bright: Pixel = edgel.position + edgel.normal;
             Some(EdgeRay { edgel, softness_px, ray: camera.ray(&edgel.position)?, bright: camera.ray(&bright)? })
         };
-        crossings.into_iter().zip(soft).filter_map(ray).collect()
-    };
-    windows.par_iter().map(inside).collect()
+        List::of(crossings.iter().zip(&soft).filter_map(ray))
+    })
 }
 
 /// The softness of each edge: the median of those within [`NEIGHBOURS_PX`] along it, as a single one is too noisy.
-fn softness(edgels: &[Edgel]) -> Vec<f64> {
-    let cell = |e: &Edgel| ((e.position.x / NEIGHBOURS_PX) as i64, (e.position.y / NEIGHBOURS_PX) as i64);
-    let mut cells: HashMap<(i64, i64), Vec<usize>> = HashMap::new();
-    for (i, e) in edgels.iter().enumerate() {
-        cells.entry(cell(e)).or_default().push(i);
-    }
+fn softness(edgels: &[Edgel]) -> List<f64> {
+    let places = Buckets::new(edgels.iter().map(|e| e.position), NEIGHBOURS_PX);
     let beside =
         |e: &Edgel, o: &Edgel| (o.position - e.position).norm() <= NEIGHBOURS_PX && o.normal.dot(&e.normal) > SAME_EDGE;
-    let mut values = Vec::new();
-    let mut of = |e: &Edgel| {
+    let mut values = List::new();
+    List::of(edgels.iter().map(|e| {
         values.clear();
-        let (x, y) = cell(e);
-        let around = (0..9).filter_map(|k| cells.get(&(x + k % 3 - 1, y + k / 3 - 1))).flatten();
-        values.extend(around.map(|&j| &edgels[j]).filter(|o| beside(e, o)).map(|o| o.softness));
+        let around = places.near(e.position, NEIGHBOURS_PX).map(|j| &edgels[j]);
+        values.extend(around.filter(|o| beside(e, o)).map(|o| o.softness));
         robust::median(&mut values)
-    };
-    edgels.iter().map(&mut of).collect()
+    }))
 }
 
 #[cfg(test)]

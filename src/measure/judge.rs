@@ -11,7 +11,7 @@ use super::locate::Located;
 use crate::calibrate::{Known, ParameterCovariance, PointJacobian};
 use crate::code::Code;
 use crate::geometry::{EulerDeg, Pair, Point3, Pose, Registration, frame, motion_jacobian, register};
-use crate::vehicle::{Anchor, Template, VehicleFile};
+use crate::vehicle::{Anchor, PerFeature, Template, VehicleFile};
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector3};
 
 type CameraFromVehicle = Pose<frame::Camera, frame::Vehicle>;
@@ -54,7 +54,7 @@ pub(crate) struct Judged {
     /// How far the pose of the points lies from the one of everything, where there are both.
     pub(crate) points_minus_dense_mm: Option<f64>,
     /// Motion per shift of each located point, camera axes.
-    pub(crate) gain: Vec<SMatrix<f64, 6, 3>>,
+    pub(crate) gain: PerFeature<SMatrix<f64, 6, 3>>,
 }
 
 impl Judged {
@@ -149,7 +149,7 @@ pub(crate) fn fit(
     evidence: &[Evidence<'_>],
     pose: &CameraFromVehicle,
 ) -> Result<Registration<frame::Camera, frame::Vehicle>, crate::geometry::NoPose> {
-    register(&evidence.iter().map(|e| e.pair(pose)).collect::<Vec<_>>())
+    register(&evidence.iter().map(|e| e.pair(pose)).collect::<PerFeature<_>>())
 }
 
 /// The checks and the covariance.
@@ -188,7 +188,7 @@ pub(crate) fn judge(
     if evidence.len() > 3 {
         leave_one_out(evidence, &pose).map_err(|detail| refused(Code::Residual, detail, Some(worst)))?;
     } else {
-        let spreads: Vec<_> = evidence.iter().map(Evidence::spread).collect();
+        let spreads: PerFeature<_> = evidence.iter().map(Evidence::spread).collect();
         let chi2 = registration.chi2_granting(&pairs(evidence, &registration), &spreads);
         if chi2 > SIGMAS * SIGMAS {
             let detail = format!("the features are {:.1} sigmas from nominal, allowed {SIGMAS}", chi2.sqrt());
@@ -196,7 +196,7 @@ pub(crate) fn judge(
         }
     }
 
-    let painted: Vec<_> = evidence
+    let painted: PerFeature<_> = evidence
         .iter()
         .map(|e| {
             let pair = e.pair(&pose);
@@ -206,7 +206,8 @@ pub(crate) fn judge(
     let stated = register(&painted).map_err(|e| refused(Code::TooFewFeatures, e.to_string(), Some(worst)))?;
     let gain = (0..evidence.len()).map(|k| {
         let only = |i: usize| if i == k { Matrix3::identity() } else { Matrix3::zeros() };
-        registration.response(&pairs(evidence, &registration), &(0..evidence.len()).map(only).collect::<Vec<_>>())
+        registration
+            .response(&pairs(evidence, &registration), &(0..evidence.len()).map(only).collect::<PerFeature<_>>())
     });
     let mut judged = Judged {
         covariance: stated.covariance + common_mode(evidence, &pose),
@@ -242,15 +243,15 @@ fn distances(evidence: &[Evidence<'_>], pose: &CameraFromVehicle, model: &Vehicl
             let of_measuring = a.measured_covariance() + b.measured_covariance();
             let sigma = |m: Matrix3<f64>| along.dot(&(m * along)).sqrt();
             let of_paint = PAINT_DISTANCE * (a.located.growth_mm - SAME_PAINT_MM).max(0.0);
-            let between = format!("{} to {}: {:+.3} mm", b.feature.name, a.feature.name, deviation);
+            let between = || format!("{} to {}: {:+.3} mm", b.feature.name, a.feature.name, deviation);
             // what is not known of the taught points and the calibration cannot be held against the vehicle
             if deviation.abs() > model.limits.distance_mm + 3.0 * sigma(of_model) {
-                too_far.get_or_insert(format!("{between} from nominal, allowed ±{} mm", model.limits.distance_mm));
+                let detail = || format!("{} from nominal, allowed ±{} mm", between(), model.limits.distance_mm);
+                too_far.get_or_insert_with(detail);
             } else if deviation.abs() > DISTANCE_SIGMAS * sigma(of_model + of_measuring) + of_paint {
-                too_far.get_or_insert(format!(
-                    "{between} from nominal, {DISTANCE_SIGMAS} sigmas and the paint's share are {:.3} mm",
-                    DISTANCE_SIGMAS * sigma(of_model + of_measuring) + of_paint
-                ));
+                let allowed = DISTANCE_SIGMAS * sigma(of_model + of_measuring) + of_paint;
+                let share = format_args!("{DISTANCE_SIGMAS} sigmas and the paint's share are {allowed:.3} mm");
+                too_far.get_or_insert_with(|| format!("{} from nominal, {share}", between()));
             }
             worst = worst.max(deviation.abs());
         }
@@ -267,13 +268,13 @@ fn response<const N: usize>(
     registration: &Registration<frame::Camera, frame::Vehicle>,
     shift: impl Fn(&Evidence<'_>) -> SMatrix<f64, 3, N>,
 ) -> SMatrix<f64, 6, N> {
-    registration.response(&pairs(evidence, registration), &evidence.iter().map(shift).collect::<Vec<_>>())
+    registration.response(&pairs(evidence, registration), &evidence.iter().map(shift).collect::<PerFeature<_>>())
 }
 
 fn pairs(
     evidence: &[Evidence<'_>],
     registration: &Registration<frame::Camera, frame::Vehicle>,
-) -> Vec<Pair<frame::Camera, frame::Vehicle>> {
+) -> PerFeature<Pair<frame::Camera, frame::Vehicle>> {
     evidence.iter().map(|e| e.pair(&registration.a_from_b)).collect()
 }
 
@@ -289,9 +290,9 @@ fn common_tilt(evidence: &[Evidence<'_>]) -> Vector3<f64> {
 
 /// Each feature against the pose of the others.
 fn leave_one_out(evidence: &[Evidence<'_>], pose: &CameraFromVehicle) -> Result<(), String> {
-    let mut worst = (0.0, String::new());
+    let mut worst = (0.0, 0.0, "");
     for k in 0..evidence.len() {
-        let rest: Vec<_> = evidence.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, e)| *e).collect();
+        let rest: PerFeature<_> = evidence.iter().enumerate().filter(|(i, _)| *i != k).map(|(_, e)| *e).collect();
         let Ok(others) = fit(&rest, pose) else { continue }; // the rest lies on a line: nothing to say
         let pair = evidence[k].pair(pose);
         let residual = others.a_from_b.inverse() * pair.measured - pair.nominal;
@@ -304,17 +305,16 @@ fn leave_one_out(evidence: &[Evidence<'_>], pose: &CameraFromVehicle) -> Result<
         let Some(inverse) = covariance.try_inverse() else { continue };
         let sigmas = residual.dot(&(inverse * residual)).sqrt();
         if sigmas > worst.0 {
-            let name = &evidence[k].feature.name;
-            worst = (
-                sigmas,
-                format!(
-                    "{name} is {:.3} mm or {sigmas:.1} sigmas from where the others put it, allowed {SIGMAS}",
-                    residual.norm()
-                ),
-            );
+            worst = (sigmas, residual.norm(), &evidence[k].feature.name);
         }
     }
-    if worst.0 > SIGMAS { Err(worst.1) } else { Ok(()) }
+    let (sigmas, mm, name) = worst;
+    if sigmas > SIGMAS {
+        return Err(format!(
+            "{name} is {mm:.3} mm or {sigmas:.1} sigmas from where the others put it, allowed {SIGMAS}"
+        ));
+    }
+    Ok(())
 }
 
 /// Shift of all features together with the light's direction: translation along the panel.

@@ -2,6 +2,7 @@
 //! Not here: what it shows.
 
 use crate::image::{Image, Window};
+use crate::lent::List;
 use nalgebra::Vector3;
 
 /// How the red image is lit, whatever it shows.
@@ -21,7 +22,7 @@ fn quantile(values: &mut [f32], q: f64) -> f64 {
 
 impl Light {
     pub(super) fn new(red: &Image<f32>, black: f64) -> Self {
-        let mut levels: Vec<f32> = red.pixels.iter().step_by(31).copied().collect();
+        let mut levels = List::of(red.pixels.iter().step_by(31).copied());
         let (dark, bright) = (quantile(&mut levels, 0.05), quantile(&mut levels, 0.75));
         Self { body: bright - black, dark: dark - black, bright }
     }
@@ -32,11 +33,9 @@ impl Light {
             return None;
         }
         let at = |x: usize, y: usize| red.at(x, y).min(self.bright as f32);
-        let mut slopes: Vec<f32> = (1..red.height - 1)
-            .step_by(2)
-            .flat_map(|y| (1..red.width - 1).map(move |x| (x, y)))
-            .map(|(x, y)| 0.5 * (at(x + 1, y) - at(x - 1, y)).hypot(at(x, y + 1) - at(x, y - 1)))
-            .collect();
+        let places = (1..red.height - 1).step_by(2).flat_map(|y| (1..red.width - 1).map(move |x| (x, y)));
+        let slope = |(x, y)| 0.5 * (at(x + 1, y) - at(x - 1, y)).hypot(at(x, y + 1) - at(x, y - 1));
+        let mut slopes = List::of(places.map(slope));
         // a step of this height blurred by sigma rises by height / (sigma √2π) at its steepest
         let steepest = quantile(&mut slopes, 0.999);
         Some(self.body / (steepest.max(1e-6) * std::f64::consts::TAU.sqrt()))

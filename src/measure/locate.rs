@@ -16,6 +16,7 @@ use crate::contour::{
 };
 use crate::fringe::Axis;
 use crate::geometry::{Point3, Polynomial, frame};
+use crate::lent::List;
 use crate::optics::Rig;
 use crate::vehicle::{Anchor, Template};
 use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
@@ -38,7 +39,7 @@ pub(crate) struct Located {
     /// How far its contour has grown; for all features that of the flap's opening counts, mm.
     pub(crate) growth_mm: f64,
     /// Where the contour's points lie in the image, and how far off the template, mm: for the overlay.
-    pub(crate) contour: Vec<(crate::optics::Pixel, f64)>,
+    pub(crate) contour: List<(crate::optics::Pixel, f64)>,
 }
 
 /// An edge on the panel, in local coordinates.
@@ -84,7 +85,7 @@ pub(crate) const ARCH_TURN_RAD: f64 = 1e-3;
 pub(crate) const ARCH_WINDOW_MM: f64 = 80.0;
 
 /// The edges whose rays meet the patch, moved in by `depth_mm`, within `reach_mm` of the local origin.
-pub(crate) fn on_panel(rays: &[EdgeRay], patch: &Patch, depth_mm: f64, reach_mm: f64) -> Vec<PanelEdge> {
+pub(crate) fn on_panel(rays: &[EdgeRay], patch: &Patch, depth_mm: f64, reach_mm: f64) -> List<PanelEdge> {
     let local = &patch.surface.local;
     let normal: Vector3<f64> = local.axes.column(2).into();
     let height = normal.dot(&local.origin.xyz);
@@ -103,12 +104,8 @@ pub(crate) fn on_panel(rays: &[EdgeRay], patch: &Patch, depth_mm: f64, reach_mm:
         let position = at.xy() - moved_on;
         Some(PanelEdge { point: ContourPoint { position, normal, variance }, w: at.z, ray: k })
     };
-    rays.iter()
-        .enumerate()
-        .filter(|(_, e)| near(&e.ray))
-        .filter_map(edge)
-        .filter(|e| e.point.position.norm() <= reach_mm)
-        .collect()
+    let edges = rays.iter().enumerate().filter(|(_, e)| near(&e.ray)).filter_map(edge);
+    List::of(edges.filter(|e| e.point.position.norm() <= reach_mm))
 }
 
 /// Locates the taught point, looking for the contour within `capture_mm` of where the pose expects it. Depth came from
@@ -121,11 +118,10 @@ pub(crate) fn locate(
     capture_mm: f64,
     (rig, axis): (&Rig, Axis),
 ) -> Result<Located, Code> {
-    let shape: Vec<TemplatePoint> =
-        template.contour.iter().map(|p| TemplatePoint { position: p.at(), normal: p.normal() }).collect();
+    let shape = List::of(template.contour.iter().map(|p| TemplatePoint { position: p.at(), normal: p.normal() }));
     let reach = shape.iter().map(|p| p.position.norm()).fold(0.0, f64::max) + capture_mm;
     let edges = on_panel(rays, patch, template.edge_depth_mm, reach);
-    let points: Vec<ContourPoint> = edges.iter().map(|e| e.point).collect();
+    let points = List::of(edges.iter().map(|e| e.point));
     let options = AlignmentOptions {
         rotate: false,
         capture: (capture_mm, capture_mm.min(1.0)),
@@ -136,7 +132,7 @@ pub(crate) fn locate(
     let (at, covariance) = match template.anchor {
         Anchor::Contour => (aligned.motion.shift, in_plane(&aligned)),
         Anchor::Ellipse { semi_axes_mm, .. } => {
-            let on_curve: Vec<_> = aligned.used.iter().map(|&k| (points[k].position, points[k].variance)).collect();
+            let on_curve = List::of(aligned.used.iter().map(|&k| (points[k].position, points[k].variance)));
             let [major, minor] = semi_axes_mm;
             let limits = EllipseLimits {
                 coverage: ELLIPSE_COVERAGE,
@@ -171,12 +167,9 @@ pub(crate) fn locate(
         },
         share: aligned.share,
         growth_mm: hem::growth_mm(aligned.used.iter().zip(&aligned.distances).map(|(&k, d)| (*d, points[k].normal))),
-        contour: aligned
-            .used
-            .iter()
-            .zip(&aligned.distances)
-            .map(|(&k, d)| (rays[edges[k].ray].edgel.position, *d))
-            .collect(),
+        contour: List::of(
+            aligned.used.iter().zip(&aligned.distances).map(|(&k, d)| (rays[edges[k].ray].edgel.position, *d)),
+        ),
     })
 }
 
@@ -195,14 +188,10 @@ fn arch(
 ) -> Result<(Vector2<f64>, Matrix2<f64>), Code> {
     let [_, up_v, up_w] = template.axes.map(|axis| axis[2]);
     let height = |uv: &Vector2<f64>, w: f64| uv.y * up_v + w * up_w;
-    let points: Vec<_> = aligned
-        .used
-        .iter()
-        .map(|&k| {
-            let e = &edges[k];
-            (e.point.position.x, height(&e.point.position, e.w), e.point.variance / e.point.normal.y.powi(2))
-        })
-        .collect();
+    let points = List::of(aligned.used.iter().map(|&k| {
+        let e = &edges[k];
+        (e.point.position.x, height(&e.point.position, e.w), e.point.variance / e.point.normal.y.powi(2))
+    }));
     let top = arch_top(&points, aligned.motion.shift.x + u_mm, ARCH_WINDOW_MM).map_err(|_| Code::ArchHidden)?;
     let (u, h) = (top.along - u_mm, top.height - height_mm);
     let mut at = Vector2::new(u, h / up_v);

@@ -43,6 +43,7 @@ use crate::capture::{self, Capture};
 use crate::detect::Detector;
 use crate::geometry::{Polynomial, Pose, frame};
 use crate::image::{Image, Window};
+use crate::lent::List;
 use crate::optics::{Pixel, Rig};
 use crate::vehicle::{Feature, PanelMask, Template, VehicleFile};
 use body::Panel;
@@ -56,9 +57,9 @@ pub(crate) const TYPICAL_DISTANCE_MM: f64 = 750.0;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Drawing {
     /// Where contours were looked for.
-    pub regions: Vec<Window>,
+    pub regions: List<Window>,
     /// Points of the contours found, px, and their distance from the taught contour, mm.
-    pub contours: Vec<(Pixel, f64)>,
+    pub contours: List<(Pixel, f64)>,
 }
 
 /// Calibration and vehicle model, ready to measure: what belongs to start-up and not to a vehicle.
@@ -89,7 +90,7 @@ pub struct Measurer {
 pub struct Shared {
     /// Proposes regions; none: they are searched for.
     pub detector: Option<Arc<Detector>>,
-    /// Buffers.
+    /// Room.
     pub workspace: Workspace,
 }
 

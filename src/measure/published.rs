@@ -14,11 +14,12 @@ use super::regions::Region;
 use super::{FeatureResult, Measurement, Stage, TYPICAL_DISTANCE_MM, Verdict};
 use crate::code::Code;
 use crate::contour::{EllipseLimits, GradientField, ShapePoint, fit_ellipse};
-use crate::fringe::{self, Depth, DepthMap, NoiseLaw, State};
+use crate::fringe::{self, DepthMap, NoiseLaw, State};
 use crate::geometry::{Pair, Point3, frame, register};
 use crate::image::{Image, Window};
+use crate::lent::List;
 use crate::optics::{Lens, Pixel};
-use crate::vehicle::{Anchor, ContourPoint, Feature, Template};
+use crate::vehicle::{Anchor, ContourPoint, Feature, PerFeature, Template};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
@@ -50,7 +51,7 @@ type Seen = (Pixel, Point3<frame::Camera>, f64);
 struct Matched {
     at: Pixel,
     /// Its contour's points from there.
-    contour: Vec<ShapePoint>,
+    contour: List<ShapePoint>,
     score: f64,
 }
 
@@ -59,12 +60,11 @@ impl Run<'_, '_> {
     pub(super) fn published(
         &mut self,
         decoded: Result<&mut Decoded, &mut fringe::Error>,
-        depths: &mut Vec<Depth>,
         ended: &mut dyn FnMut(Stage),
     ) -> Measurement {
         let mut seen = Vec::new();
         let outcome = self.usable().and_then(|()| {
-            seen = self.seen(decoded, depths, ended)?;
+            seen = self.seen(decoded, ended)?;
             self.rigid(&seen)
         });
         ended(Stage::Contour);
@@ -99,31 +99,28 @@ impl Run<'_, '_> {
     fn seen(
         &self,
         decoded: Result<&mut Decoded, &mut fringe::Error>,
-        depths: &mut Vec<Depth>,
         ended: &mut dyn FnMut(Stage),
     ) -> Result<Vec<Result<Seen, Code>>, Refused> {
         let (c, m) = (self.cycle, self.cycle.measurer);
         let ambiguous = |e: &fringe::Error| Self::refuse(Code::PhaseAmbiguity, e.to_string());
         let decoded = decoded.map_err(|e| ambiguous(e))?;
         // of the flap, too, where ours looks for no depth
-        *decoded = Decoded::new(&c.buffers.fringes, c.capture).map_err(|e| ambiguous(&e))?;
-        let map = DepthMap::reusing(std::mem::take(depths), &m.depth_rig, &c.buffers.rays, &decoded.coordinates);
+        decoded.everywhere(&c.fringes, c.capture).map_err(|e| ambiguous(&e))?;
+        let map = DepthMap::new(&m.depth_rig, &c.rays, &decoded.coordinates);
         ended(Stage::Decode);
         let noise = red_noise(c.capture, &decoded.noise);
         let camera = &m.calibration.rig.camera;
         let found = |(template, region): (&Template, &Result<Region, Code>)| {
-            let matched = matched(&c.buffers.red, camera, template, &(*region)?, c.light.body).ok_or(Code::NotFound)?;
+            let matched = matched(&c.red, camera, template, &(*region)?, c.light.body).ok_or(Code::NotFound)?;
             let pixel = match template.anchor {
-                Anchor::Ellipse { .. } => cap(&c.buffers.red, camera, &matched, &noise)?,
+                Anchor::Ellipse { .. } => cap(&c.red, camera, &matched, &noise)?,
                 Anchor::Contour | Anchor::ArchTop { .. } => matched.at,
             };
             let z = depth_at(&map, &m.depth_rig.camera, &(pixel / m.every as f64)).ok_or(Code::CoverageLow)?;
             let ray = camera.ray(&pixel).ok_or(Code::OutOfVolume)?;
             Ok((pixel, Point3::new(ray * z), matched.score))
         };
-        let seen = m.templates.par_iter().zip(&c.regions).map(found).collect();
-        *depths = map.pixels;
-        Ok(seen)
+        Ok(m.templates.par_iter().zip(&c.regions[..]).map(found).collect())
     }
 
     /// The rigid transform of what was seen.
@@ -149,7 +146,7 @@ impl Run<'_, '_> {
             residual_rms_mm: judge::rms(&registration.residuals),
             distance_deviation_mm: deviations.map(|(i, j)| deviation(i, j)).fold(0.0, f64::max),
             points_minus_dense_mm: None,
-            gain: Vec::new(),
+            gain: PerFeature::new(),
             registration,
         })
     }
@@ -183,7 +180,7 @@ fn matched(red: &Image<f32>, camera: &Lens, template: &Template, region: &Region
     let at_scale = |step: i32| {
         let scale = 1.0 + SCALE_STEP * f64::from(step);
         let scaled = |p: &ShapePoint| ShapePoint { offset: p.offset * scale, ..*p };
-        let contour: Vec<ShapePoint> = shape.iter().map(scaled).collect();
+        let contour = List::of(shape.iter().map(scaled));
         let best = *field.search(std::slice::from_ref(&contour), 1, APART_PX).first()?;
         Some(Matched { at: best.at + Pixel::new(w.x as f64, w.y as f64), contour, score: best.score })
     };
@@ -199,8 +196,8 @@ fn cap(red: &Image<f32>, camera: &Lens, matched: &Matched, noise: &NoiseLaw) -> 
     let on_cap = |at: &Pixel, normal: &Vector2<f64>| {
         matched.contour.iter().any(|p| (matched.at + p.offset - at).norm() < near && p.direction.dot(normal) > AGREEING)
     };
-    let edges = edge_rays(red, &[window], noise, camera).concat();
-    let edges = edges.iter().map(|e| &e.edgel).filter(|e| on_cap(&e.position, &e.normal));
+    let edges = edge_rays(red, &[window], noise, camera);
+    let edges = edges.iter().flatten().map(|e| &e.edgel).filter(|e| on_cap(&e.position, &e.normal));
     let points: Vec<_> = edges.map(|e| (e.position, e.variance)).collect();
     let limits = EllipseLimits { coverage: COVERAGE, semi_axes: 0.0..=f64::INFINITY };
     Ok(fit_ellipse(&points, &limits).map_err(|_| Code::Ellipse)?.ellipse.centre)

@@ -6,8 +6,9 @@ use crate::code::Code;
 use crate::contour::{GradientField, Match, ShapePoint};
 use crate::geometry::{Local, Point3, Pose, frame};
 use crate::image::Image;
+use crate::lent::List;
 use crate::optics::{Lens, Pixel};
-use crate::vehicle::{Anchor, Template};
+use crate::vehicle::{Anchor, PerFeature, Template};
 use nalgebra::{Matrix2, Rotation3, SMatrix, SVector, Vector2, Vector3};
 
 /// A feature's place in the image, to a few pixels.
@@ -42,19 +43,19 @@ pub(crate) fn search_factor(mm_per_pixel: f64) -> usize {
 
 /// The field that shapes are taken from and searched in.
 pub(crate) fn search_field(red: &Image<f32>, mm_per_pixel: f64) -> GradientField {
-    let mut levels: Vec<f32> = red.pixels.iter().step_by(97).copied().collect();
+    let mut levels = List::of(red.pixels.iter().step_by(97).copied());
     let upper = levels.len() * 3 / 4;
     let body = *levels.select_nth_unstable_by(upper, f32::total_cmp).1;
     GradientField::new(red, search_factor(mm_per_pixel), (0.08 * body).max(2.0))
 }
 
 /// Searches every template. A feature that is not found has code 401, one that is found twice 402.
-pub(crate) fn find(red: &Image<f32>, camera: &Lens, templates: &[Template]) -> Vec<Result<Region, Code>> {
-    let Some(first) = templates.first() else { return Vec::new() };
+pub(crate) fn find(red: &Image<f32>, camera: &Lens, templates: &[Template]) -> PerFeature<Result<Region, Code>> {
+    let Some(first) = templates.first() else { return PerFeature::new() };
     let taught = first.taught_pose();
     let depth = (taught * Point3::new(Vector3::from(first.point_mm))).xyz.z;
     let field = search_field(red, depth / camera.fx);
-    let candidates: Vec<Vec<Match>> = templates
+    let candidates: PerFeature<List<Match>> = templates
         .iter()
         .map(|t| {
             let mut found = field.search(&attitudes(t, camera, &taught), KEPT, APART_MM * camera.fx / depth);
@@ -66,11 +67,15 @@ pub(crate) fn find(red: &Image<f32>, camera: &Lens, templates: &[Template]) -> V
 }
 
 /// The taught shape as it would look at each scale and turn, px about the taught point.
-fn attitudes(template: &Template, camera: &Lens, taught: &Pose<frame::Camera, frame::Vehicle>) -> Vec<Vec<ShapePoint>> {
+fn attitudes(
+    template: &Template,
+    camera: &Lens,
+    taught: &Pose<frame::Camera, frame::Vehicle>,
+) -> List<List<ShapePoint>> {
     let to_pixels = pixels_per_mm(template, camera, taught);
     let across = to_pixels.try_inverse().unwrap_or_else(Matrix2::identity).transpose(); // normals turn inversely
     let step = template.shape.len().div_ceil(160);
-    let mut out = Vec::new();
+    let mut out = List::new();
     for scale in SCALES {
         for turn in TURNS {
             let turn = nalgebra::Rotation2::new(f64::to_radians(turn));
@@ -78,7 +83,7 @@ fn attitudes(template: &Template, camera: &Lens, taught: &Pose<frame::Camera, fr
                 offset: turn * (to_pixels * p.at()) * scale,
                 direction: (turn * (across * p.normal())).normalize(),
             });
-            out.push(shape.collect());
+            out.push(List::of(shape));
         }
     }
     out
@@ -105,13 +110,13 @@ pub(crate) fn local_pixels_per_mm(local: &Local<frame::Camera>, camera: &Lens) -
 /// Picks one candidate per feature so that they lie to each other as the taught ones do, within `slack` times what the
 /// search allows.
 pub(super) fn arrange(
-    candidates: &[Vec<Match>],
+    candidates: &[List<Match>],
     camera: &Lens,
     templates: &[Template],
     taught: &Pose<frame::Camera, frame::Vehicle>,
     slack: f64,
-) -> Vec<Result<Region, Code>> {
-    let expected: Vec<Pixel> = templates
+) -> PerFeature<Result<Region, Code>> {
+    let expected: PerFeature<Pixel> = templates
         .iter()
         .map(|t| camera.project(&(*taught * Point3::new(Vector3::from(t.point_mm))).xyz).unwrap_or(Pixel::zeros()))
         .collect();
@@ -125,10 +130,10 @@ pub(super) fn arrange(
         (ratio - 1.0).abs() < slack * stretch && turn.abs() < slack * angle
     };
     // every choice of a candidate or none per feature; few candidates, so few choices
-    let mut best: (f64, Vec<Option<Match>>) = (0.0, vec![None; candidates.len()]);
-    let mut choice = vec![0usize; candidates.len()];
+    let mut best: (f64, PerFeature<Option<Match>>) = (0.0, candidates.iter().map(|_| None).collect());
+    let mut choice: PerFeature<usize> = candidates.iter().map(|_| 0).collect();
     loop {
-        let picked: Vec<Option<Match>> = choice
+        let picked: PerFeature<Option<Match>> = choice
             .iter()
             .zip(candidates)
             .map(|(&c, list)| c.checked_sub(1).and_then(|c| list.get(c).copied()))
@@ -171,10 +176,10 @@ pub(crate) fn first_pose(
     regions: &mut [Result<Region, Code>],
 ) -> Option<Pose<frame::Camera, frame::Vehicle>> {
     let (mut pose, chi2) = nearest_pose(camera, templates, regions)?;
-    let found: Vec<usize> = (0..regions.len()).filter(|&k| regions[k].is_ok()).collect();
+    let found: PerFeature<usize> = (0..regions.len()).filter(|&k| regions[k].is_ok()).collect();
     if chi2 > CONSISTENT && found.len() > 2 {
         let without = |&k: &usize| {
-            let mut rest = regions.to_vec();
+            let mut rest: PerFeature<_> = regions.iter().copied().collect();
             rest[k] = Err(Code::NotFound);
             nearest_pose(camera, templates, &rest).map(|(pose, chi2)| (k, pose, chi2))
         };
@@ -195,7 +200,7 @@ pub(super) fn nearest_pose(
     regions: &[Result<Region, Code>],
 ) -> Option<(Pose<frame::Camera, frame::Vehicle>, f64)> {
     let taught = templates.first()?.taught_pose();
-    let found: Vec<(&Template, &Region)> =
+    let found: PerFeature<(&Template, &Region)> =
         templates.iter().zip(regions).filter_map(|(t, r)| Some((t, r.as_ref().ok()?))).collect();
     if found.is_empty() {
         return None;
@@ -209,7 +214,7 @@ pub(super) fn nearest_pose(
     };
     // x, y, z: mm; roll, pitch, yaw: rad
     let prior = SVector::<f64, 6>::from([120.0, 80.0, 80.0, 0.035, 0.035, 0.15]).map(|s: f64| 1.0 / (s * s));
-    let residuals = |s: &SVector<f64, 6>| -> Vec<Vector2<f64>> {
+    let residuals = |s: &SVector<f64, 6>| -> PerFeature<Vector2<f64>> {
         let pose = moved(s);
         found
             .iter()
@@ -228,13 +233,12 @@ pub(super) fn nearest_pose(
         let now = residuals(&state);
         let mut normal = SMatrix::<f64, 6, 6>::from_diagonal(&prior);
         let mut right = -prior.component_mul(&state);
-        let mut columns = Vec::new();
-        for k in 0..6 {
+        let columns: [PerFeature<_>; 6] = std::array::from_fn(|k| {
             let h = if k < 3 { 0.1 } else { 1e-4 };
             let mut step = state;
             step[k] += h;
-            columns.push(residuals(&step).iter().zip(&now).map(|(a, b)| (a - b) / h).collect::<Vec<_>>());
-        }
+            residuals(&step).iter().zip(&now).map(|(a, b)| (a - b) / h).collect()
+        });
         for (i, r) in now.iter().enumerate() {
             for a in 0..6 {
                 right[a] -= columns[a][i].dot(r);

@@ -5,6 +5,7 @@ use super::cycle::{Run, contour_windows};
 use super::judge::{self, Evidence, Judged, Refused};
 use super::{Drawing, FeatureResult, Measurement, Station, TargetUncertainty, Uncertainty, Verdict, Xyz};
 use crate::geometry::{EulerDeg, Point3, frame};
+use crate::lent::List;
 use nalgebra::Vector3;
 
 impl Run<'_, '_> {
@@ -95,7 +96,7 @@ impl Run<'_, '_> {
                 let mut out = FeatureResult::unknown(&feature.name);
                 if let Ok(region) = &self.cycle.regions[k] {
                     out.score = Some(region.score);
-                    out.region = Some(if region.by_detector { "detector" } else { "search" }.into());
+                    out.region = Some(if region.by_detector { "detector" } else { "search" });
                     out.pixel = Some(region.pixel.into());
                 }
                 match self.located.get(k) {
@@ -107,7 +108,7 @@ impl Run<'_, '_> {
                         out.covariance_mm2 = Some(std::array::from_fn(|i| std::array::from_fn(|j| covariance[(i, j)])));
                         out.residual_mm = residuals.as_mut().and_then(Iterator::next).map(|r| r.norm());
                         out.score = out.score.or(Some(located.share));
-                        out.region = out.region.or(Some("pose".into()));
+                        out.region = out.region.or(Some("pose"));
                     }
                     Some(Err(code)) => out.code = Some(*code),
                     None => {}
@@ -121,8 +122,8 @@ impl Run<'_, '_> {
         let m = self.cycle.measurer;
         let pose = self.pose.or(self.cycle.first_pose);
         Drawing {
-            regions: pose.map(|p| contour_windows(m, &p, 0.0)).unwrap_or_default(),
-            contours: self.located.iter().flatten().flat_map(|l| l.contour.iter().copied()).collect(),
+            regions: List::of(pose.map(|p| contour_windows(m, &p, 0.0)).into_iter().flatten()),
+            contours: List::of(self.located.iter().flatten().flat_map(|l| l.contour.iter().copied())),
         }
     }
 }

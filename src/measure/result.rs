@@ -189,7 +189,7 @@ pub struct FeatureResult {
     /// How well the template matched, 0 to 1.
     pub score: Option<f64>,
     /// What proposed its region: "detector", "search" for the taught shape, or "pose": that of the other features.
-    pub region: Option<String>,
+    pub region: Option<&'static str>,
 }
 
 impl FeatureResult {

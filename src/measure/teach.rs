@@ -148,7 +148,7 @@ pub fn teach_from(
     let rays = Rays::new(camera, fringes.window);
     let clicks = features.clicks()?;
     let whole = Window::whole(red.width, red.height);
-    let (plain, level) = edges::Levels::new(&raw).without_glints(&raw, whole);
+    let [plain, level] = edges::Levels::new(&raw).without_glints(&raw, whole);
     // a rounded corner's panel begins some mm from the sharp corner that was clicked
     let reach = 8.0 * camera.fx / TYPICAL_DISTANCE_MM;
     let panel = panel_mask(&plain, &level, &clicks, reach).ok_or(TeachError::Body {
@@ -170,10 +170,9 @@ pub fn teach_from(
     let masks: Vec<PanelMask> = flat.iter().map(|l| mask_about(camera, &panel, |uv| l.point(&uv.push(0.0)))).collect();
     let eroded: Vec<Panel> = masks.iter().map(|m| Panel::new(m.eroded(EROSION_MM.1))).collect();
     let sites: Vec<Site<'_>> = flat.iter().zip(&eroded).map(|(local, panel)| Site { local: *local, panel }).collect();
-    let body =
-        BodyDepth::new(&mut Vec::new(), &calibration.rig, &rays, &mut coordinates, &sites).ok_or(TeachError::Body {
-            what: "too little of the panel about the clicked points has depth: check the projector and glare",
-        })?;
+    let body = BodyDepth::new(&calibration.rig, &rays, &mut coordinates, &sites).ok_or(TeachError::Body {
+        what: "too little of the panel about the clicked points has depth: check the projector and glare",
+    })?;
 
     let mut points: Vec<Point3<frame::Camera>> = Vec::new();
     for (feature, click) in features.features.iter().zip(&clicks) {
@@ -198,11 +197,11 @@ pub fn teach_from(
     check_side(features, &placed, &pose)?;
 
     let red_noise = red_noise(capture, &noise);
-    let edge_rays = edges::edge_rays(&raw, &[whole], &red_noise, camera).concat();
+    let edge_rays = edges::edge_rays(&raw, &[whole], &red_noise, camera);
     let mut model = features.clone();
     let mut templates = Vec::new();
     for (k, feature) in features.features.iter().enumerate() {
-        let scene = Scene { camera, panel: &panel, raw: &raw, edge_rays: &edge_rays, calibration };
+        let scene = Scene { camera, panel: &panel, raw: &raw, edge_rays: &edge_rays[0], calibration };
         let template = scene.template(feature, &clicks[k], &placed[k], &pose)?;
         let written = &mut model.features[k];
         written.edge_depth_mm = Some(template.edge_depth_mm);
@@ -421,7 +420,7 @@ impl Scene<'_> {
             Kind::Ellipse | Kind::Outline => FLAP_MM,
             Kind::ArchTop => 1.1 * ARCH_WINDOW_MM,
         };
-        let edges = on_panel(self.edge_rays, &placed.patch, depth, reach);
+        let mut edges = on_panel(self.edge_rays, &placed.patch, depth, reach);
         let own = |e: &PanelEdge| {
             let edgel = &self.edge_rays[e.ray].edgel;
             let wanted = feature.edge == Edge::Opening || !matches!(feature.kind, Kind::Ellipse | Kind::Outline);
@@ -429,7 +428,7 @@ impl Scene<'_> {
             let up = (BRIGHT_SIDE_MM * self.camera.fx / TYPICAL_DISTANCE_MM).max(2.5);
             self.on_panel(&(edgel.position + up * edgel.normal)) == wanted
         };
-        let edges: Vec<PanelEdge> = edges.into_iter().filter(own).collect();
+        edges.retain(own);
         let to_vehicle = pose.inverse();
         let axes = to_vehicle.r * placed.local.axes;
         let mut anchor = Anchor::Contour;

@@ -5,6 +5,9 @@ mod model;
 mod region;
 mod template;
 
-pub use model::{Body, Class, Definition, Edge, Feature, Kind, Limits, Release, Target, VehicleFile, fingerprint};
+pub(crate) use model::PerFeature;
+pub use model::{
+    Body, Class, Definition, Edge, Feature, Kind, Limits, MAX_FEATURES, Release, Target, VehicleFile, fingerprint,
+};
 pub use region::region_outline;
 pub use template::{Anchor, ContourPoint, PanelMask, TaughtSurface, Template, TemplateError};

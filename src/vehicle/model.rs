@@ -18,6 +18,11 @@ const MIN_FROM_LINE_MM: f64 = 10.0;
 const REACH_MM: f64 = 20_000.0;
 /// A template has a few kB.
 const MAX_TEMPLATE_BYTES: u64 = 16 << 20;
+/// Of a model: one of each class.
+pub const MAX_FEATURES: usize = 4;
+
+/// One of each feature of a model, or of some of them.
+pub(crate) type PerFeature<T> = heapless::Vec<T, MAX_FEATURES>;
 
 /// One vehicle model (a job). Optional keys that have a default are written with it, so that two files which
 /// mean the same are the same.
@@ -325,7 +330,7 @@ impl VehicleFile {
         check.name("name", &self.name)?;
         check.that(!self.origin.trim().is_empty(), "origin", "\"\"", "where the origin lies, in words")?;
         point("reference_mm", &self.reference_mm)?;
-        check.within("number of [[feature]]", self.features.len(), 3..=4)?;
+        check.within("number of [[feature]]", self.features.len(), 3..=MAX_FEATURES)?;
         for (i, f) in self.features.iter().enumerate() {
             let key = |name: &str| format!("feature[{i}].{name}");
             check.name(key("name"), &f.name)?;

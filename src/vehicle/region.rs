@@ -3,6 +3,7 @@
 //! Not here: where features are; how a box looks in an image.
 
 use super::{Class, Template};
+use crate::lent::List;
 
 /// Half the side of the square about a corner, mm.
 const CORNER_MM: f64 = 45.0;
@@ -13,7 +14,7 @@ const FLAP: f64 = 1.1;
 
 /// The outline of a feature's box, in turn about its middle; `flap` is that of the flap.
 /// Points are so far apart that each sector of it has about the same area.
-pub fn region_outline(class: Class, flap: &[[f64; 2]]) -> Vec<[f64; 2]> {
+pub fn region_outline(class: Class, flap: &[[f64; 2]]) -> List<[f64; 2]> {
     match class {
         Class::Point1 | Class::Point2 => rectangle([CORNER_MM; 2]),
         Class::Point4 => rectangle(ARCH_MM),
@@ -21,25 +22,25 @@ pub fn region_outline(class: Class, flap: &[[f64; 2]]) -> Vec<[f64; 2]> {
             let least = |i: usize| flap.iter().map(|p| p[i]).fold(f64::INFINITY, f64::min);
             let most = |i: usize| flap.iter().map(|p| p[i]).fold(f64::NEG_INFINITY, f64::max);
             let middle = [0, 1].map(|i| 0.5 * (least(i) + most(i)));
-            flap.iter().map(|p| [0, 1].map(|i| middle[i] + FLAP * (p[i] - middle[i]))).collect()
+            List::of(flap.iter().map(|p| [0, 1].map(|i| middle[i] + FLAP * (p[i] - middle[i]))))
         }
     }
 }
 
 impl Template {
     /// The outline of this feature's box in local coordinates.
-    pub fn box_outline(&self, class: Class) -> Vec<[f64; 2]> {
+    pub fn box_outline(&self, class: Class) -> List<[f64; 2]> {
         if class == Class::Point3 {
-            return region_outline(class, &self.contour.iter().map(|p| p.at().into()).collect::<Vec<_>>());
+            return region_outline(class, &List::of(self.contour.iter().map(|p| p.at().into())));
         }
         // about the taught point, which may lie beside the origin
         let [u, v, _] = self.at_mm;
-        region_outline(class, &[]).into_iter().map(|p| [p[0] + u, p[1] + v]).collect()
+        List::of(region_outline(class, &[]).iter().map(|p| [p[0] + u, p[1] + v]))
     }
 }
 
 /// As many points on each side, corners included.
-fn rectangle([a, b]: [f64; 2]) -> Vec<[f64; 2]> {
+fn rectangle([a, b]: [f64; 2]) -> List<[f64; 2]> {
     const SIDE: usize = 16;
     let corners = [[a, b], [-a, b], [-a, -b], [a, -b]];
     let side = |k: usize| {
@@ -49,7 +50,7 @@ fn rectangle([a, b]: [f64; 2]) -> Vec<[f64; 2]> {
             [0, 1].map(|j| from[j] + t * (to[j] - from[j]))
         })
     };
-    (0..4).flat_map(side).collect()
+    List::of((0..4).flat_map(side))
 }
 
 #[cfg(test)]
