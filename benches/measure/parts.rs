@@ -4,7 +4,7 @@ use crate::station::Bench;
 use criterion::Criterion;
 use datum::Image;
 use datum::contour::{EdgeFilter, cross_level, find_edges};
-use datum::fringe::{Axis, Limits, NoiseLaw, PatternSet, PhaseMap, Stack, decode_where, unwrap_reusing};
+use datum::fringe::{Axis, Limits, NoiseLaw, PatternSet, PhaseMap, Phases, Stack, decode_where, unwrap_reusing};
 use datum::image::Window;
 use rayon::prelude::*;
 use std::hint::black_box;
@@ -59,7 +59,7 @@ impl Buffers {
         let whole = Window::whole(WIDTH, HEIGHT);
         let set = |count| PatternSet::new(Axis::Column, count, 4).expect("legal");
         let stack = |count| Stack::new(set(count), 255, &[whole]).expect("legal");
-        let map = |count| PhaseMap { set: set(count), window: whole, pixels: Vec::new() };
+        let map = |count| PhaseMap { set: set(count), window: whole, pixels: Phases::default() };
         Self { stacks: COUNTS.map(stack), maps: COUNTS.map(map).to_vec() }
     }
 
@@ -96,16 +96,16 @@ pub(crate) fn bench(c: &mut Criterion, images: &Images, threads: usize) {
             coordinates = map.pixels;
         });
     });
+    let filter = EdgeFilter { start: (10.0, 8.0), keep: (5.0, 4.0), ..EdgeFilter::default() };
+    let whole = Window::whole(REGION, REGION);
+    let found = |region: &Image<f32>| find_edges(region, whole, &filter, |level| NOISE.variance(level));
+    let refined =
+        |region: &Image<f32>| cross_level(region, &found(region), 8.0, |_| 255.0, |level| NOISE.variance(level)).len();
+    group.bench_function("find_4_regions", |bench| {
+        bench.iter(|| black_box(&images.regions).par_iter().map(|region| found(region).len()).sum::<usize>());
+    });
     group.bench_function("edges_4_regions", |bench| {
-        let (whole, filter) = (
-            Window::whole(REGION, REGION),
-            EdgeFilter { start: (10.0, 8.0), keep: (5.0, 4.0), ..EdgeFilter::default() },
-        );
-        let edges = |region: &Image<f32>| {
-            let found = find_edges(region, whole, &filter, |level| NOISE.variance(level));
-            cross_level(region, &found, 8.0, |_| 255.0, |level| NOISE.variance(level)).len()
-        };
-        bench.iter(|| black_box(&images.regions).par_iter().map(edges).sum::<usize>());
+        bench.iter(|| black_box(&images.regions).par_iter().map(refined).sum::<usize>());
     });
     group.finish();
 }

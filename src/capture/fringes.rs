@@ -3,7 +3,7 @@
 
 use super::Capture;
 use crate::fringe::{
-    self, Axis, Coordinate, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, Phase, PhaseMap, Stack,
+    self, Axis, Coordinate, CoordinateMap, Limits, NoiseLaw, NoiseSample, PatternSet, PhaseMap, Phases, Stack,
     difference_samples, residual_samples,
 };
 use crate::image::{Image, Window};
@@ -33,7 +33,7 @@ pub struct Fringes {
     /// What was decoded so, per set.
     decoded: Vec<Option<PhaseMap>>,
     /// Buffers for what will be.
-    spare: Vec<Vec<Phase>>,
+    spare: Vec<Phases>,
 }
 
 impl Fringes {

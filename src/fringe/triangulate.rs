@@ -293,7 +293,6 @@ mod tests {
                 modulation: 60.0,
                 saturated: false,
                 state: State::Valid,
-                unordered: None,
             }
         });
         let (axis, pixels) = (Axis::Column, pixels.collect());
