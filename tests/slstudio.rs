@@ -171,7 +171,7 @@ fn white_pixels(map: &PhaseMap, corners: &[Pixel], stride: usize) -> Vec<(usize,
         let square = [corners[i], corners[i + 1], corners[i + 14], corners[i + 13]];
         let centre = square.iter().sum::<Pixel>() / 4.0;
         let square = square.map(|c| centre + 0.8 * (c - centre));
-        *modulation += map.pixels[centre.y as usize * CAMERA.0 + centre.x as usize].modulation;
+        *modulation += map.pixels.at(centre.y as usize * CAMERA.0 + centre.x as usize).modulation;
         let inside = |p: Pixel| {
             let sides: [f64; 4] = std::array::from_fn(|i| (square[(i + 1) % 4] - square[i]).perp(&(p - square[i])));
             sides.iter().all(|&s| s > 0.0) || sides.iter().all(|&s| s < 0.0)
@@ -312,10 +312,10 @@ fn phase_noise_on_white_squares_follows_the_law() {
         let (mut measured, mut stated) = (Vec::new(), Vec::new());
         let truth = &reference["corners"][id.to_string()];
         for (x, y) in white_pixels(&map, &corners(&truth["cam"]), 1) {
-            let [a, b, c] = [y - 1, y, y + 1].map(|y| &map.pixels[y * CAMERA.0 + x]);
+            let [a, b, c] = [y - 1, y, y + 1].map(|y| map.pixels.at(y * CAMERA.0 + x));
             let turn = |v: f64| v - TAU * (v / TAU).round();
             let difference = |p: &Phase, q: &Phase| turn(f64::from(p.phase) - f64::from(q.phase));
-            let second = difference(a, b) + difference(c, b);
+            let second = difference(&a, &b) + difference(&c, &b);
             if second.is_finite() {
                 measured.push(second.abs());
                 stated.push(f64::from(b.variance));

@@ -1,10 +1,11 @@
 //! Times of a measurement at full resolution, on a capture that is simulated here, and of its parts over whole images;
 //! beside OpenCV's in the same run, beside the time memory takes, with one thread and two. One table at the end.
 //! `DATUM_DATA=../shared/data cargo bench --bench measure`; OpenCV is left out without DATUM_DATA or where DATUM_PYTHON
-//! (else python3) has none: `pip install opencv-contrib-python-headless numpy`.
+//! (else python3) has none: `pip install opencv-contrib-python-headless numpy`; instructions without valgrind.
 
 #![expect(clippy::print_stdout, reason = "a table is what this is for")]
 
+mod instructions;
 mod parts;
 mod peers;
 mod station;
@@ -58,4 +59,8 @@ fn main() {
     }
     let table = Table { folder: &folder, opencv: peers::opencv(&images) };
     println!("{table}");
+    match instructions::measure(&b) {
+        Some(count) => println!("datum measure, files included: {:.2}e9 instructions", count as f64 * 1e-9),
+        None => println!("datum measure: instructions not counted, no valgrind"),
+    }
 }

@@ -16,6 +16,8 @@ pub(crate) struct Bench {
     pub(crate) capture: Capture,
     pub(crate) red: Image<u16>,
     pub(crate) fringes: Vec<Vec<Image<u16>>>,
+    /// Where its files are: `calibration.toml`, `bench.toml`, the capture in `moved`.
+    pub(crate) folder: PathBuf,
 }
 
 impl Bench {
@@ -34,10 +36,8 @@ impl Bench {
         let scene = Scene::new(body.clone(), paint, &Deviation::default());
         let features = sim::features(&scene, &setup).expect("all in view");
         let mut taught = teach(&good, &sim::calibration(&setup), &features, "bench").expect("teaches");
-        for (feature, template) in taught.model.features.iter().zip(&taught.templates) {
-            let file = folder.join(feature.template.as_ref().expect("taught"));
-            std::fs::write(file, template.to_bytes()).expect("writable");
-        }
+        taught.write(&folder.join("bench.toml")).expect("writable");
+        sim::calibration(&setup).write(&folder.join("calibration.toml")).expect("writable");
         taught.model.file = folder.join("bench.toml");
         let measurer = || Measurer::new(sim::calibration(&setup), taught.model.clone()).expect("templates");
         let detector = Detector::named(Path::new(DEFAULT)).expect("comes with the program");
@@ -47,7 +47,7 @@ impl Bench {
         let load = |path: &PathBuf| capture.load(path).expect("just written");
         let red = load(capture.images.red.as_ref().expect("recorded"));
         let fringes = capture.fringes.iter().map(|set| set.images.iter().map(load).collect()).collect();
-        Self { measurer: measurer(), detecting, red, fringes, capture }
+        Self { measurer: measurer(), detecting, red, fringes, capture, folder }
     }
 
     /// Every fringe image of the capture: its set, its step.

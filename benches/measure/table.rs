@@ -21,11 +21,12 @@ enum Beside {
     Nothing,
 }
 
-const ROWS: [(&str, &str, Beside); 9] = [
+const ROWS: [(&str, &str, Beside); 10] = [
     ("parts", "read_image", Beside::Nothing),
     ("parts", "add_image", Beside::Ours("read_image", 3.0)),
     ("parts", "wrap_4", Beside::OpenCv(1.0)),
     ("parts", "decode_unwrap_3x4", Beside::OpenCv(2.0)),
+    ("parts", "find_4_regions", Beside::OpenCv(1.0)),
     ("parts", "edges_4_regions", Beside::OpenCv(1.0)),
     ("measure", "begin", Beside::Nothing),
     ("measure", "all_16_add_fringe", Beside::Nothing),

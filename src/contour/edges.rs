@@ -235,6 +235,8 @@ struct Profile {
     reach: f64,
     /// Smoothing, of sum 1.
     kernel: List<f32>,
+    /// Five side by side for each value of the profile.
+    places: List<[Place; 5]>,
     raw: List<f32>,
     values: List<f64>,
 }
@@ -244,7 +246,11 @@ impl Profile {
         let tail = (3.0 * SMOOTHING / STEP) as usize;
         let taps = (0..=2 * tail).map(|k| (-0.5 * ((k as f64 - tail as f64) * STEP / SMOOTHING).powi(2)).exp());
         let gain: f64 = taps.clone().sum();
-        Self { reach, kernel: List::of(taps.map(|v| (v / gain) as f32)), raw: List::new(), values: List::new() }
+        let kernel = List::of(taps.map(|v| (v / gain) as f32));
+        let mut new = Self { reach, kernel, places: List::new(), raw: List::new(), values: List::new() };
+        let places = 2 * new.half() + 1;
+        new.places.resize(places, [Place::default(); 5]);
+        new
     }
 
     /// Steps to each side of the edge.
@@ -252,18 +258,26 @@ impl Profile {
         (self.reach / STEP).ceil() as usize
     }
 
+    /// And before it is smoothed.
+    fn half(&self) -> usize {
+        self.zero() + self.kernel.len() / 2
+    }
+
     /// Takes the smoothed profile across `e`; `None` where it leaves the image.
     fn take(&mut self, image: &Image<f32>, e: &Edgel) -> Option<()> {
         let tangent = Vector2::new(-e.normal.y, e.normal.x) * SPACING;
-        let half = self.zero() + self.kernel.len() / 2;
+        let half = self.half();
         let far = e.normal.abs() * (half as f64 * STEP) + tangent.abs() * 2.0;
         let patch = Patch::about(image, &e.position, &far)?;
         let (normal, tangent) = (e.normal.map(|v| (v * STEP) as f32), tangent.map(|v| v as f32));
-        self.raw.clear();
-        self.raw.extend((0..=2 * half).map(|i| {
+        for (i, five) in self.places.iter_mut().enumerate() {
             let at = patch.middle + normal * (i as f32 - half as f32);
-            [-2.0, -1.0, 0.0, 1.0, 2.0].map(|k| patch.cubic(at + tangent * k)).iter().sum::<f32>() / 5.0
-        }));
+            for (k, place) in five.iter_mut().enumerate() {
+                *place = patch.place(at + tangent * (k as f32 - 2.0));
+            }
+        }
+        self.raw.clear();
+        self.raw.extend(self.places.iter().map(|five| patch.sum(five) / 5.0));
         let smooth = |around: &[f32]| around.iter().zip(&self.kernel).map(|(v, k)| f64::from(v * k)).sum::<f64>();
         self.values.clear();
         self.values.extend(self.raw.windows(self.kernel.len()).map(smooth));
@@ -341,16 +355,27 @@ fn reaches(four: &[f64; 4], level: f64) -> (f64, f64) {
 
 /// Catmull–Rom's weights of four values, `t` of the way from the second to the third.
 fn weights(t: f32) -> [f32; 4] {
-    let (t2, t3) = (t * t, t * t * t);
-    [0.5 * (-t + 2.0 * t2 - t3), 0.5 * (2.0 - 5.0 * t2 + 3.0 * t3), 0.5 * (t + 4.0 * t2 - 3.0 * t3), 0.5 * (t3 - t2)]
+    // of 1, t, t², t³: the four weights side by side
+    const POWERS: [[f32; 4]; 4] =
+        [[0.0, 1.0, 0.0, 0.0], [-0.5, 0.0, 0.5, 0.0], [1.0, -2.5, 2.0, -0.5], [-0.5, 1.5, -1.5, 0.5]];
+    std::array::from_fn(|i| POWERS[0][i] + t * (POWERS[1][i] + t * (POWERS[2][i] + t * POWERS[3][i])))
 }
 
 /// A part of an image to interpolate in.
 struct Patch<'a> {
-    pixels: &'a [f32],
+    /// All pixels from its first on, and all from those one, two and three rows below; each as many.
+    rows: [&'a [f32]; 4],
     width: usize,
     /// What it was made about, from the second column and row on, px.
     middle: Vector2<f32>,
+}
+
+/// A place in a [`Patch`]: the first of the four by four pixels about it, and the weights of their columns and rows.
+#[derive(Clone, Copy, Default)]
+struct Place {
+    first: usize,
+    across: [f32; 4],
+    down: [f32; 4],
 }
 
 impl<'a> Patch<'a> {
@@ -364,23 +389,30 @@ impl<'a> Patch<'a> {
         // one pixel of margin to each side: places are found again in single precision
         let [column, row] = [low.x, low.y].map(|v| (v as usize).saturating_sub(2));
         let middle = (middle - Vector2::new((column + 1) as f64, (row + 1) as f64)).map(|v| v as f32);
-        Some(Self { pixels: &image.pixels[row * image.width + column..], width: image.width, middle })
+        let (width, pixels) = (image.width, &image.pixels[row * image.width + column..]);
+        let rows = [0, 1, 2, 3].map(|j| &pixels[j * width..pixels.len() - (3 - j) * width]);
+        Some(Self { rows, width, middle })
     }
 
-    /// The value at `p`, px from the second column and row on.
-    fn cubic(&self, p: Vector2<f32>) -> f32 {
-        let (column, row) = (p.x as usize, p.y as usize);
+    /// `p`: px from the second column and row on.
+    fn place(&self, p: Vector2<f32>) -> Place {
+        let (column, row) = (p.x as i32, p.y as i32); // processors know 32 bits best
         let (across, down) = (weights(p.x - column as f32), weights(p.y - row as f32));
-        let first = row * self.width + column;
-        let around = &self.pixels[first..first + 3 * self.width + 4];
-        let mut columns = [0f32; 4];
-        for (j, w) in down.into_iter().enumerate() {
-            let row: &[f32; 4] = around[j * self.width..].first_chunk().expect("four rows of at least four");
-            for (sum, v) in columns.iter_mut().zip(row) {
-                *sum += w * v;
+        Place { first: row as usize * self.width + column as usize, across, down }
+    }
+
+    /// The sum of the values at `places`, four columns side by side.
+    fn sum(&self, places: &[Place]) -> f32 {
+        let mut sums = [0f32; 4];
+        for place in places {
+            let mut columns = [0f32; 4];
+            for (row, w) in self.rows.iter().zip(place.down) {
+                let row: &[f32; 4] = row[place.first..].first_chunk().expect("a patch has four columns or more");
+                (0..4).for_each(|i| columns[i] += w * row[i]);
             }
+            (0..4).for_each(|i| sums[i] += columns[i] * place.across[i]);
         }
-        columns.iter().zip(across).map(|(v, w)| v * w).sum()
+        sums.iter().sum()
     }
 }
 
@@ -448,7 +480,7 @@ mod tests {
             let all =
                 (0..72).map(|i| f64::from(image.pixels[i]) * weight(x - (i % 9) as f64) * weight(y - (i / 9) as f64));
             let patch = about(x, y, 0.0).expect("inside");
-            let got = patch.cubic(patch.middle);
+            let got = patch.sum(&[patch.place(patch.middle)]);
             assert!((f64::from(got) - all.sum::<f64>()).abs() < 2e-4, "{x} {y}: {got}");
         }
         for (x, y) in [(0.99, 3.0), (3.0, 6.0), (7.0, 3.0), (f64::NAN, 3.0), (3.0, f64::INFINITY), (-1e300, 3.0)] {

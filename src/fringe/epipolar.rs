@@ -73,7 +73,7 @@ fn cell(
     for row in range(index[1], height) {
         for column in range(index[0], width) {
             asked += 1;
-            let phase = &across.pixels[row * width + column];
+            let phase = across.pixels.at(row * width + column);
             let Some(point) = depth.point(x + column, y + row).filter(|_| phase.state == State::Valid) else {
                 continue;
             };

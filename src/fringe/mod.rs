@@ -11,14 +11,17 @@ mod decode;
 mod epipolar;
 mod noise;
 mod pattern;
+mod phases;
+mod sines;
 mod stack;
 mod triangulate;
 mod unwrap;
 
-pub use decode::{Limits, Phase, PhaseMap, State, decode, decode_where};
+pub use decode::{Limits, PhaseMap, decode, decode_where};
 pub use epipolar::{EpipolarCell, epipolar_cells, is_sampled};
 pub use noise::{NoiseLaw, NoiseSample, difference_samples, excess_noise, residual_samples};
 pub use pattern::{Axis, PatternSet};
+pub use phases::{Phase, Phases, State};
 pub use stack::Stack;
 pub use triangulate::{Depth, DepthMap, Rays, epipolar_residual, projector_coordinate, triangulate};
 pub use unwrap::{Coordinate, CoordinateMap, unwrap};

@@ -274,7 +274,6 @@ mod tests {
                 modulation: 60.0,
                 saturated: false,
                 state: State::Valid,
-                unordered: None,
             }
         });
         let (axis, pixels) = (Axis::Column, List::of(pixels));

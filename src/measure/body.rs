@@ -64,7 +64,7 @@ const MAX_MISFIT_MM: f64 = 0.25;
 pub(crate) fn why_no_depth(states: &[State], usable: usize) -> Code {
     let count = |of: &[State]| states.iter().filter(|s| of.contains(s)).count();
     let most = |n: usize| 2 * n > states.len() - usable;
-    if most(count(&[State::Saturated])) {
+    if most(count(&[State::Saturated, State::Unordered])) {
         Code::Saturated
     } else if most(count(&[State::NotSine, State::WrongOrder])) {
         Code::PhaseAmbiguity
