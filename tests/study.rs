@@ -64,7 +64,7 @@ fn a_way_is_measured_along_across_and_up() {
             figure(&s, &format!("{axis}: rail's direction off, largest")),
         );
         assert!((1e-6..0.08).contains(&over) && rail < 0.1, "{axis}: {over} mm, {rail}°");
-        assert!(figure(&s, &format!("{axis}: scale, mean")).abs() < 0.05);
+        assert!(figure(&s, &format!("{axis}: scale, mean")).abs() < 0.07);
     }
     assert!(rows(&s, "By run").iter().all(|r| r[3] == 100.0), "from one end to the other");
 }
