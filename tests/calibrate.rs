@@ -7,7 +7,7 @@ use common::data;
 use datum::calibrate::target::{Sighting, find};
 use datum::calibrate::{Board, Lit, Seen, Solution, Terms, VerifyLimits, View, mean, read_points, solve, verify};
 use datum::image::read_png;
-use datum::{Calibration, Capture, Image};
+use datum::{Calibration, Capture, Image, Lens};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -40,23 +40,23 @@ type Sizes = [Option<(usize, usize)>; 2];
 
 /// What camera and projector see in the captures in `folder`.
 fn views(folder: &Path, board: &Board) -> (Vec<View>, Sizes) {
-    let mut sizes = [None; 2];
-    let camera = |folder: &PathBuf| {
-        let capture = Capture::open(folder).expect("a capture");
-        let camera = seen(&find(&mean(&capture).expect("readable"), board).expect("the board is in view"));
-        sizes = [
-            Some((capture.camera.width, capture.camera.height)),
-            Some((capture.projector.width, capture.projector.height)),
-        ];
-        (capture, View { name: name(folder), seen: [camera, Vec::new()] })
+    let captures: Vec<Capture> =
+        entries(folder, Path::is_dir).iter().map(|folder| Capture::open(folder).expect("a capture")).collect();
+    let camera = |c: &Capture| seen(&find(&mean(c).expect("readable"), board).expect("the board is in view"));
+    let cameras: Vec<Vec<Seen>> = captures.iter().map(camera).collect();
+    let read = |(c, camera): (&Capture, &Vec<Seen>)| Lit::read(c, board, camera).expect("fringes");
+    let fringes: Vec<Lit> = captures.iter().zip(&cameras).map(read).collect();
+    let (c, p) = (&captures[0].camera, &captures[0].projector);
+    let sizes = [Some((c.width, c.height)), Some((p.width, p.height))];
+    let views = |lens: &Lens| -> Vec<View> {
+        let view = |((c, camera), fringes): ((&Capture, &Vec<Seen>), &Lit)| View {
+            name: name(&c.folder),
+            seen: [camera.clone(), fringes.projector(camera, lens)],
+        };
+        captures.iter().zip(&cameras).zip(&fringes).map(view).collect()
     };
-    let (captures, mut views): (Vec<_>, Vec<_>) = entries(folder, Path::is_dir).iter().map(camera).unzip();
-    let solution = solve(&board.points(), &views, [sizes[0], None], Terms::Chosen).expect("tilted views");
-    for (capture, View { seen: [camera, lit], .. }) in captures.iter().zip(&mut views) {
-        let fringes = Lit::read(capture, board, camera).expect("fringes");
-        *lit = fringes.projector(board, camera, &solution.devices[0].lens);
-    }
-    (views, sizes)
+    let coarse = solve(&board.points(), &views(&Lens::pinhole(c.width, c.height)), sizes, Terms::Chosen);
+    (views(&coarse.expect("tilted views").devices[0].lens), sizes)
 }
 
 /// Camera and projector calibrated from the captures in `folder`.
@@ -228,7 +228,7 @@ fn the_published_test_of_two_frames_on_a_board() {
         let sighting = find(&mean(&capture).expect("readable"), &marked).expect("the board is in view");
         for (calibration, rig) in [("true", &truth), ("own", &own)] {
             let camera = seen(&sighting.through(&marked, &rig.camera));
-            let lit = Lit::read(&capture, &marked, &camera).expect("fringes").projector(&marked, &camera, &rig.camera);
+            let lit = Lit::read(&capture, &marked, &camera).expect("fringes").projector(&camera, &rig.camera);
             let got = verify(rig, &marked, &camera, &lit, VerifyLimits::default()).expect("all discs");
             let frames = got.frames_error_mm.expect("two halves");
             eprintln!("{}, {calibration} calibration: {frames:.4?} mm; {}", capture.name(), got.detail);

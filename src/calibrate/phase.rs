@@ -26,12 +26,22 @@ const SAMPLES: usize = 1200;
 /// Fewer determine no affine map worth having.
 const MIN_SAMPLES: usize = 40;
 
-/// The projector's picture as the camera sees it on a board.
+/// The projector's picture as the camera sees it about the points of a board.
 #[derive(Clone, Debug)]
-pub struct Lit {
-    columns: CoordinateMap,
-    rows: Option<CoordinateMap>,
+pub struct Lit(Vec<About>);
+
+/// The fringes about one point.
+#[derive(Clone, Debug)]
+struct About {
+    point: usize,
+    /// Of the window, px.
+    radius: f64,
+    columns: Vec<Sample>,
+    rows: Option<Vec<Sample>>,
 }
+
+/// A pixel, the projector coordinate there, and its variance.
+type Sample = (Pixel, f64, f32);
 
 /// Why a capture cannot be decoded.
 #[derive(Debug, thiserror::Error)]
@@ -77,7 +87,8 @@ impl Lit {
     /// Reads and decodes the fringes of `capture` about the points `seen` of `board`. Rows are left out where no row set
     /// has one fringe; columns are needed.
     pub fn read(capture: &Capture, board: &Board, seen: &[Seen]) -> Result<Self, NotLit> {
-        let margin = radii(board, seen).into_iter().fold(0.0, f64::max).ceil();
+        let radii = radii(board, seen);
+        let margin = radii.iter().copied().fold(0.0, f64::max).ceil();
         let bound = |k: usize, pick: fn(f64, f64) -> f64| seen.iter().map(|s| s.1[k]).reduce(pick).unwrap_or(0.0);
         let window = Window::clipped(
             bound(0, f64::min) - margin,
@@ -93,24 +104,31 @@ impl Lit {
             Err(NotLit::Fringes { source: fringe::Error::NoSet { .. } | fringe::Error::Ambiguous { .. }, .. }) => None,
             Err(e) => return Err(e),
         };
-        Ok(Self { columns: decode(capture, window, Axis::Column)?, rows })
+        let columns = decode(capture, window, Axis::Column)?;
+        let about = |(&(point, at), &radius): (&Seen, &f64)| About {
+            point,
+            radius,
+            columns: samples(&columns, &at, radius),
+            rows: rows.as_ref().map(|rows| samples(rows, &at, radius)),
+        };
+        Ok(Self(seen.par_iter().zip(&radii).map(about).collect()))
     }
 
     /// The projector pixels that light the points `seen` by a camera of this `lens`; points without enough valid fringes
     /// about them are left out. Without row fringes the projector's row is NaN.
-    pub fn projector(&self, board: &Board, seen: &[Seen], lens: &Lens) -> Vec<Seen> {
-        let radii = radii(board, seen);
+    pub fn projector(&self, seen: &[Seen], lens: &Lens) -> Vec<Seen> {
         let straight = |at: &Pixel| lens.undistort(at).unwrap_or_else(|| lens.normalised(at));
         let about = |map: &(dyn Fn(&Pixel) -> Vector2<f64> + Sync)| -> Vec<(Seen, Pixel)> {
-            let lit = |(&(k, at), &radius): (&Seen, &f64)| {
-                let column = local(&self.columns, &at, radius, |p| map(p).x)?;
-                let row = match &self.rows {
-                    Some(rows) => local(rows, &at, radius, |p| map(p).y)?,
+            let lit = |&(k, at): &Seen| {
+                let about = self.0.iter().find(|about| about.point == k)?;
+                let column = local(&about.columns, &at, about.radius, |p| map(p).x)?;
+                let row = match &about.rows {
+                    Some(rows) => local(rows, &at, about.radius, |p| map(p).y)?,
                     None => f64::NAN,
                 };
                 Some(((k, Pixel::new(column, row)), at))
             };
-            seen.par_iter().zip(&radii).filter_map(lit).collect()
+            seen.par_iter().filter_map(lit).collect()
         };
         let mut found = about(&|_| Vector2::zeros());
         for bent in [false, true] {
@@ -159,24 +177,34 @@ fn radii(board: &Board, seen: &[Seen]) -> Vec<f64> {
     seen.iter().map(of).collect()
 }
 
-/// The projector coordinate at `at`: what the pixels within `radius` differ from `expected`, fitted robustly by an affine
-/// map. `None` where too few are valid.
-fn local(map: &CoordinateMap, at: &Pixel, radius: f64, expected: impl Fn(&Pixel) -> f64) -> Option<f64> {
+/// Valid pixels of `map` within `radius` of `at`, evenly some [`SAMPLES`] of them.
+fn samples(map: &CoordinateMap, at: &Pixel, radius: f64) -> Vec<Sample> {
     let w = map.window;
     let (x, y) = (at.x - w.x as f64, at.y - w.y as f64);
-    let about = Window::clipped(x - radius, y - radius, x + radius, y + radius, w.width, w.height)?;
+    let Some(about) = Window::clipped(x - radius, y - radius, x + radius, y + radius, w.width, w.height) else {
+        return Vec::new();
+    };
     let stride = ((about.width * about.height) as f64 / SAMPLES as f64).sqrt().ceil().max(1.0) as usize;
-    let mut samples = Vec::new(); // offset over radius, difference, its variance
+    let mut samples = Vec::new();
     for y in (about.y..about.y + about.height).step_by(stride) {
         for x in (about.x..about.x + about.width).step_by(stride) {
             let pixel = Pixel::new((w.x + x) as f64, (w.y + y) as f64);
-            let (off, c) = ((pixel - at) / radius, &map.pixels[y * w.width + x]);
-            if c.state == State::Valid && off.norm() <= 1.0 {
-                samples.push((off.push(1.0), c.value - expected(&pixel), f64::from(c.variance)));
+            let c = &map.pixels[y * w.width + x];
+            if c.state == State::Valid && (pixel - at).norm() <= radius {
+                samples.push((pixel, c.value, c.variance));
             }
         }
     }
-    affine(&samples).map(|fit| fit.coefficients.z + expected(at))
+    samples
+}
+
+/// The projector coordinate at `at`: what the samples within `radius` differ from `expected`, fitted robustly by an affine
+/// map. `None` where there are too few.
+fn local(samples: &[Sample], at: &Pixel, radius: f64, expected: impl Fn(&Pixel) -> f64) -> Option<f64> {
+    let off = |(pixel, value, variance): &Sample| {
+        (((pixel - at) / radius).push(1.0), value - expected(pixel), f64::from(*variance))
+    };
+    affine(&samples.iter().map(off).collect::<Vec<_>>()).map(|fit| fit.coefficients.z + expected(at))
 }
 
 /// A robust fit of `value = coefficients · place`, place = (x, y, 1).

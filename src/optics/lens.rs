@@ -26,6 +26,13 @@ pub struct Lens {
 }
 
 impl Lens {
+    /// Without distortion, of an image of so many pixels: where nothing is known of a lens.
+    pub fn pinhole(width: usize, height: usize) -> Self {
+        let [cx, cy] = [width, height].map(|n| 0.5 * (n as f64 - 1.0));
+        let f = width as f64;
+        Self { width, height, fx: f, fy: f, cx, cy, distortion: [0.0; 5] }
+    }
+
     /// The raw pixel where a point of the lens's frame (mm) appears; `None` at or behind the lens.
     pub fn project(&self, p: &Vector3<f64>) -> Option<Pixel> {
         (p.z > 0.0).then(|| self.pixel_of(&self.distort(&Vector2::new(p.x / p.z, p.y / p.z)).0))

@@ -61,7 +61,7 @@ pub(super) fn measure(
         let marks = sighting.marks.iter().enumerate();
         let camera: Vec<Seen> = marks.filter_map(|(k, m)| Some((k, m.as_ref()?.at))).collect();
         let lit = Lit::read(&capture, &board, &camera).map_err(|e| e.to_string())?;
-        let lit = lit.projector(&board, &camera, &calibration.rig.camera);
+        let lit = lit.projector(&camera, &calibration.rig.camera);
         let limits = VerifyLimits { scale_percent: artefact.scale_percent, ..VerifyLimits::default() };
         verify(&calibration.rig, &board, &camera, &lit, limits).map_err(|e| e.to_string())
     };

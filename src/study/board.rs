@@ -80,11 +80,8 @@ fn measured(
         let sighting = find(&image, board).map_err(|e| nothing(e.to_string()))?.through(board, &rig.camera);
         let marks = sighting.marks.iter().enumerate();
         let camera: Vec<Seen> = marks.filter_map(|(k, m)| Some((k, m.as_ref()?.at))).collect();
-        let lit = Lit::read(&capture, board, &camera).map_err(|e| nothing(e.to_string()))?.projector(
-            board,
-            &camera,
-            &rig.camera,
-        );
+        let lit =
+            Lit::read(&capture, board, &camera).map_err(|e| nothing(e.to_string()))?.projector(&camera, &rig.camera);
         let found = verify(rig, board, &camera, &lit, VerifyLimits::default()).map_err(|e| nothing(e.to_string()))?;
         let frames = found.frames_error_mm.zip(found.frames_error_deg);
         frames.ok_or_else(|| nothing("a half of the board is not seen".into()))

@@ -8,6 +8,7 @@ use crate::calibrate::{
 };
 use crate::capture::Capture;
 use crate::document::Check;
+use crate::optics::Lens;
 use anyhow::Context;
 use std::path::PathBuf;
 
@@ -43,29 +44,35 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     if let Some(picture) = a.captures.iter().find(|c| c.is_file()) {
         anyhow::bail!("{}: a file, allowed: folders with a capture.toml", picture.display());
     }
-    let Shots { mut shots, left_out } = read_shots(&a.captures, &a.board)?;
+    let Shots { shots, left_out } = read_shots(&a.captures, &a.board)?;
     let projector = projector_size(&shots)?;
     let points = a.board.points();
-    // the centres of discs are better once the lens is known, and so is what the fringes are fitted by
-    let view = |s: &Shot| View { name: s.name.clone(), seen: [seen(&s.sighting), Vec::new()] };
-    let views: Vec<View> = shots.iter().map(view).collect();
-    let lens = solve(&points, &views, [Some(shots[0].size), None], Terms::Chosen)?.devices[0].lens.clone();
-    shots.iter_mut().for_each(|s| s.sighting = s.sighting.through(&a.board, &lens));
-    let mut views = Vec::new();
-    for (n, shot) in shots.iter().enumerate() {
-        eprintln!("{}/{} {}: decoding", n + 1, shots.len(), shot.name);
-        let camera = seen(&shot.sighting);
-        let lit = Lit::read(capture(shot)?, &a.board, &camera)?.projector(&a.board, &camera, &lens);
-        let rows = lit.iter().all(|(_, at)| at.y.is_finite());
-        Check(&capture(shot)?.file()).that(
-            rows && !lit.is_empty(),
-            "[[fringes]]",
-            if lit.is_empty() { "no valid fringes on the board" } else { "no row set of count 1" },
-            "column and row fringes on the board, the coarsest of each with count 1",
-        )?;
-        views.push(View { name: shot.name.clone(), seen: [camera, lit] });
-    }
-    let solution = solve(&points, &views, [Some(shots[0].size), Some(projector)], Terms::Chosen)?;
+    let fringes: Vec<Lit> = (1..)
+        .zip(&shots)
+        .map(|(n, shot)| {
+            eprintln!("{n}/{} {}: decoding", shots.len(), shot.name);
+            Ok(Lit::read(capture(shot)?, &a.board, &seen(&shot.sighting))?)
+        })
+        .collect::<anyhow::Result<_>>()?;
+    let solved = |lens: &Lens| {
+        let mut views = Vec::new();
+        for (shot, fringes) in shots.iter().zip(&fringes) {
+            let camera = seen(&shot.sighting.through(&a.board, lens));
+            let lit = fringes.projector(&camera, lens);
+            let rows = lit.iter().all(|(_, at)| at.y.is_finite());
+            Check(&capture(shot)?.file()).that(
+                rows && !lit.is_empty(),
+                "[[fringes]]",
+                if lit.is_empty() { "no valid fringes on the board" } else { "no row set of count 1" },
+                "column and row fringes on the board, the coarsest of each with count 1",
+            )?;
+            views.push(View { name: shot.name.clone(), seen: [camera, lit] });
+        }
+        Ok::<_, anyhow::Error>(solve(&points, &views, [Some(shots[0].size), Some(projector)], Terms::Chosen)?)
+    };
+    // centres of discs, and what fringes are fitted by, are better once the camera's lens is known
+    let coarse = solved(&Lens::pinhole(shots[0].size.0, shots[0].size.1))?;
+    let solution = solved(&coarse.devices[0].lens)?;
     let distance_mm = solution.working_distance_mm(&points);
     let mut calibration = calibration(&solution, &shots, a)?;
     let of_fit = scale_sigma(&calibration, distance_mm);

@@ -55,7 +55,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         .with_context(|| capture.file().display().to_string())?;
     let rig = &calibration.rig;
     let camera = seen(&shot.sighting.through(&a.board, &rig.camera));
-    let lit = Lit::read(capture, &a.board, &camera)?.projector(&a.board, &camera, &rig.camera);
+    let lit = Lit::read(capture, &a.board, &camera)?.projector(&camera, &rig.camera);
     let limits = VerifyLimits {
         scale_percent: a.max_scale_percent,
         flatness_mm: a.max_flatness_mm,
