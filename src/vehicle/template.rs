@@ -8,7 +8,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 /// First bytes of a template file; the last one is the major version.
-const MAGIC: [u8; 8] = *b"datumtp\x03";
+const MAGIC: [u8; 8] = *b"datumtp\x04";
 
 /// One taught feature. Local coordinates: u, v along the panel, w outward, origin where it was clicked, mm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -385,8 +385,8 @@ mod tests {
         assert_eq!(Template::from_bytes(&bytes[..20]), Err(TemplateError::Damaged));
         assert_eq!(Template::from_bytes(b"PNG"), Err(TemplateError::NotATemplate));
         let mut newer = bytes;
-        newer[7] = 4;
-        assert_eq!(Template::from_bytes(&newer), Err(TemplateError::Version { found: 4 }));
+        newer[7] = 5;
+        assert_eq!(Template::from_bytes(&newer), Err(TemplateError::Version { found: 5 }));
     }
 
     #[test]
