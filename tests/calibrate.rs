@@ -4,10 +4,12 @@
 mod common;
 
 use common::data;
-use datum::calibrate::target::{Sighting, find};
-use datum::calibrate::{Board, Lit, Seen, Solution, Terms, VerifyLimits, View, mean, read_points, solve, verify};
+use datum::calibrate::target::find;
+use datum::calibrate::{
+    Board, Lit, Shown, Solution, Terms, VerifyLimits, View, mean, read_points, solve, solve_shown, verify,
+};
 use datum::image::read_png;
-use datum::{Calibration, Capture, Image, Lens};
+use datum::{Calibration, Capture, Image};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -31,38 +33,24 @@ fn name(path: &Path) -> String {
     path.file_stem().expect("a name").to_string_lossy().into_owned()
 }
 
-fn seen(sighting: &Sighting) -> Vec<Seen> {
-    sighting.marks.iter().enumerate().filter_map(|(k, m)| Some((k, m.as_ref()?.at))).collect()
-}
-
-/// Sizes of camera and projector images, px.
-type Sizes = [Option<(usize, usize)>; 2];
-
-/// What camera and projector see in the captures in `folder`.
-fn views(folder: &Path, board: &Board) -> (Vec<View>, Sizes) {
-    let captures: Vec<Capture> =
-        entries(folder, Path::is_dir).iter().map(|folder| Capture::open(folder).expect("a capture")).collect();
-    let camera = |c: &Capture| seen(&find(&mean(c).expect("readable"), board).expect("the board is in view"));
-    let cameras: Vec<Vec<Seen>> = captures.iter().map(camera).collect();
-    let read = |(c, camera): (&Capture, &Vec<Seen>)| Lit::read(c, board, camera).expect("fringes");
-    let fringes: Vec<Lit> = captures.iter().zip(&cameras).map(read).collect();
-    let (c, p) = (&captures[0].camera, &captures[0].projector);
-    let sizes = [Some((c.width, c.height)), Some((p.width, p.height))];
-    let views = |lens: &Lens| -> Vec<View> {
-        let view = |((c, camera), fringes): ((&Capture, &Vec<Seen>), &Lit)| View {
-            name: name(&c.folder),
-            seen: [camera.clone(), fringes.projector(camera, lens)],
-        };
-        captures.iter().zip(&cameras).zip(&fringes).map(view).collect()
+/// The board in each capture in `folder`, and the sizes of camera and projector images, px.
+fn shown(folder: &Path, board: &Board) -> (Vec<Shown>, [(usize, usize); 2]) {
+    let mut sizes = [(0, 0); 2];
+    let shown = |folder: &PathBuf| {
+        let capture = Capture::open(folder).expect("a capture");
+        let sighting = find(&mean(&capture).expect("readable"), board).expect("the board is in view");
+        let lit = Lit::read(&capture, board, &sighting.seen()).expect("fringes");
+        let (camera, projector) = (&capture.camera, &capture.projector);
+        sizes = [(camera.width, camera.height), (projector.width, projector.height)];
+        Shown { name: name(folder), sighting, lit }
     };
-    let coarse = solve(&board.points(), &views(&Lens::pinhole(c.width, c.height)), sizes, Terms::Chosen);
-    (views(&coarse.expect("tilted views").devices[0].lens), sizes)
+    (entries(folder, Path::is_dir).iter().map(shown).collect(), sizes)
 }
 
 /// Camera and projector calibrated from the captures in `folder`.
 fn calibrated(folder: &Path, board: &Board) -> Solution {
-    let (views, sizes) = views(folder, board);
-    solve(&board.points(), &views, sizes, Terms::Chosen).expect("tilted views")
+    let (shown, sizes) = shown(folder, board);
+    solve_shown(board, &shown, sizes).expect("tilted views")
 }
 
 fn show(s: &Solution) {
@@ -129,7 +117,7 @@ fn opencvs_photographs_calibrate_as_well_as_with_opencv() {
         let grey = read_png(file).expect("a grey PNG");
         let pixels = grey.pixels.iter().map(|&v| f32::from(v)).collect();
         let image = Image { width: grey.width, height: grey.height, pixels };
-        View { name: name(file), seen: [seen(&find(&image, &board).expect("the board is in view")), Vec::new()] }
+        View { name: name(file), seen: [find(&image, &board).expect("the board is in view").seen(), Vec::new()] }
     };
     let pictures = entries(&folder, |p| p.extension().is_some_and(|e| e == "png"));
     let views: Vec<View> = pictures.iter().map(view).collect();
@@ -158,21 +146,17 @@ fn a_real_rig_triangulates_boards_that_it_was_not_calibrated_with() {
     assert!(worst <= 0.2, "{worst} %");
     // and once more with nothing of the left-out board in the calibration, not even in the choice of its terms
     let board = board("chessboard:13x9:10");
-    let (views, sizes) = views(&folder, &board);
+    let (shown, sizes) = shown(&folder, &board);
     let strict = |out: usize| {
-        let others: Vec<View> = views.iter().enumerate().filter(|(k, _)| *k != out).map(|(_, v)| v.clone()).collect();
-        let rig = solve(&board.points(), &others, sizes, Terms::Chosen).expect("four views").rig().expect("both");
-        let [camera, lit] = &views[out].seen;
-        let fit = verify(&rig, &board, camera, lit, VerifyLimits::default()).expect("117 points").board;
-        eprintln!(
-            "  {} by the others alone: {:.4} mm, scale {:+.4} %",
-            views[out].name,
-            fit.rms_mm,
-            100.0 * (fit.scale - 1.0)
-        );
+        let mut others = shown.clone();
+        let Shown { name, sighting, lit } = others.remove(out);
+        let rig = solve_shown(&board, &others, sizes).expect("four views").rig().expect("both");
+        let (camera, lit) = (sighting.seen(), lit.projector(&sighting.seen(), &rig.camera));
+        let fit = verify(&rig, &board, &camera, &lit, VerifyLimits::default()).expect("117 points").board;
+        eprintln!("  {} by the others alone: {:.4} mm, scale {:+.4} %", name, fit.rms_mm, 100.0 * (fit.scale - 1.0));
         fit.rms_mm
     };
-    let rms = (0..views.len()).map(strict).sum::<f64>() / n;
+    let rms = (0..shown.len()).map(strict).sum::<f64>() / n;
     eprintln!("  mean {rms:.4} mm");
     assert!(rms <= 0.105, "{rms} mm");
 }
@@ -227,7 +211,7 @@ fn the_published_test_of_two_frames_on_a_board() {
         let capture = Capture::open(&capture).expect("a capture");
         let sighting = find(&mean(&capture).expect("readable"), &marked).expect("the board is in view");
         for (calibration, rig) in [("true", &truth), ("own", &own)] {
-            let camera = seen(&sighting.through(&marked, &rig.camera));
+            let camera = sighting.through(&marked, &rig.camera).seen();
             let lit = Lit::read(&capture, &marked, &camera).expect("fringes").projector(&camera, &rig.camera);
             let got = verify(rig, &marked, &camera, &lit, VerifyLimits::default()).expect("all discs");
             let frames = got.frames_error_mm.expect("two halves");

@@ -48,6 +48,7 @@ const TABLE: &[(&str, &[u16])] = &[
     ("the repeat differs", &[304]),
     ("the repeat is the same", &[0]),
     ("the projector is silent", &[501]),
+    ("other light drowns the fringes", &[303]),
     ("red too dark", &[0, 301]),
     ("red overexposed", &[0, 302, 401, 601]),
     ("fringes too dark", &[0, 501, 503]),
@@ -689,6 +690,12 @@ fn cases(setup: &Setup, px: f64) -> Vec<Case> {
         s.projected().enumerate().for_each(|(k, i)| {
             *i = mean.clone();
             noise(i, 1.5, k as u64);
+        });
+    });
+    c.add(true, "other light drowns the fringes", "", |s, _| {
+        s.projected().enumerate().for_each(|(k, i)| {
+            let mut random = Random(k as u64);
+            paint(i, |_, v| 120.0 + 0.15 * v + 6.0 * random.normal());
         });
     });
     for (name, gain) in [("20 %", 0.2), ("5 %", 0.05), ("1 %", 0.01)] {

@@ -1,7 +1,7 @@
 //! Calibration and its upkeep. In: pictures and captures of a board. Out: camera and projector, how they stand to each other
 //! and to the station, with the covariance of it all; whether that still holds. Not here: what is measured with it.
 //!
-//! picture → [`target::find`] → points seen by the camera → [`Lit`] → the same points in the projector → [`solve`] →
+//! picture → [`target::find`] → points seen by the camera → [`Lit`] → the same points in the projector → [`solve_shown`] →
 //! [`Calibration`] → [`keep`]. Afterwards: [`verify`] on a board, [`Health`] on every vehicle, [`survey`] for the station.
 
 mod adjust;
@@ -15,6 +15,7 @@ mod phase;
 mod points;
 mod propagate;
 mod scale;
+mod shown;
 mod solve;
 mod start;
 mod survey;
@@ -34,6 +35,7 @@ pub use points::read_points;
 pub(crate) use propagate::changed;
 pub use propagate::{PointJacobian, Sensitivity, independent_errors};
 pub use scale::scale_sigma;
+pub use shown::{Shown, solve_shown};
 pub use solve::{MIN_VIEWS, Solution, Terms, Unsolved, View, ViewReport, solve};
 pub use survey::{
     Centre, Circle, Culprit, MAX_RESIDUAL_MM, MAX_SIGMAS, Misfit, Survey, Unsurveyed, centre, read_circles, survey,

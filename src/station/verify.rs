@@ -5,7 +5,7 @@
 use super::config::ArtefactKeys;
 use super::hardware::Hardware;
 use crate::calibrate::target::find;
-use crate::calibrate::{Board, Calibration, Lit, Seen, VerifyLimits, mean, verify};
+use crate::calibrate::{Board, Calibration, Lit, VerifyLimits, mean, verify};
 use crate::capture::{Plan, RecordError, ShootError, record_while};
 use crate::code::Code;
 use crate::fringe::Axis;
@@ -57,9 +57,8 @@ pub(super) fn measure(
     })?;
     let seen = || -> Result<_, String> {
         let image = mean(&capture).map_err(|e| e.to_string())?;
-        let sighting = find(&image, &board).map_err(|e| e.to_string())?.through(&board, &calibration.rig.camera);
-        let marks = sighting.marks.iter().enumerate();
-        let camera: Vec<Seen> = marks.filter_map(|(k, m)| Some((k, m.as_ref()?.at))).collect();
+        let sighting = find(&image, &board).map_err(|e| e.to_string())?;
+        let camera = sighting.through(&board, &calibration.rig.camera).seen();
         let lit = Lit::read(&capture, &board, &camera).map_err(|e| e.to_string())?;
         let lit = lit.projector(&camera, &calibration.rig.camera);
         let limits = VerifyLimits { scale_percent: artefact.scale_percent, ..VerifyLimits::default() };

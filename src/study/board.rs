@@ -6,7 +6,7 @@ use super::outcome::{Cell, Figure, Must, Outcome, Plot, Series, Table};
 use super::statistics::{largest, mean, standard_deviation};
 use super::{Error, Given, Progress};
 use crate::calibrate::target::find;
-use crate::calibrate::{Board, Lit, Seen, VerifyLimits, mean as mean_image, verify};
+use crate::calibrate::{Board, Lit, VerifyLimits, mean as mean_image, verify};
 use crate::capture::Capture;
 use crate::document;
 use crate::fringe::Axis;
@@ -77,11 +77,10 @@ fn measured(
     let nothing = |what: String| Error::Nothing { what };
     let seen = || -> Result<_, Error> {
         let image = mean_image(&capture).map_err(|e| nothing(e.to_string()))?;
-        let sighting = find(&image, board).map_err(|e| nothing(e.to_string()))?.through(board, &rig.camera);
-        let marks = sighting.marks.iter().enumerate();
-        let camera: Vec<Seen> = marks.filter_map(|(k, m)| Some((k, m.as_ref()?.at))).collect();
-        let lit =
-            Lit::read(&capture, board, &camera).map_err(|e| nothing(e.to_string()))?.projector(&camera, &rig.camera);
+        let sighting = find(&image, board).map_err(|e| nothing(e.to_string()))?;
+        let camera = sighting.through(board, &rig.camera).seen();
+        let lit = Lit::read(&capture, board, &camera).map_err(|e| nothing(e.to_string()))?;
+        let lit = lit.projector(&camera, &rig.camera);
         let found = verify(rig, board, &camera, &lit, VerifyLimits::default()).map_err(|e| nothing(e.to_string()))?;
         let frames = found.frames_error_mm.zip(found.frames_error_deg);
         frames.ok_or_else(|| nothing("a half of the board is not seen".into()))

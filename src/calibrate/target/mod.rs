@@ -59,6 +59,11 @@ pub fn disc_about(image: &Image<f32>, near: &Pixel) -> Option<Vec<Pixel>> {
 }
 
 impl Sighting {
+    /// The points that are seen.
+    pub fn seen(&self) -> Vec<super::Seen> {
+        self.marks.iter().enumerate().filter_map(|(k, mark)| Some((k, mark.as_ref()?.at))).collect()
+    }
+
     /// The same with a known lens: a disc's centre is the raw pixel of the true centre, whatever the lens does to the
     /// shape of its image. Chessboard corners stay as they are.
     pub fn through(&self, board: &Board, lens: &Lens) -> Self {

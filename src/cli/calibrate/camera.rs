@@ -1,7 +1,7 @@
 //! `datum calibrate camera`: pictures of a board, or given points, in; the camera's lens out.
 
 use super::super::{Status, print};
-use super::input::{LeftOut, Shot, Shots, read_shots, seen};
+use super::input::{LeftOut, Shot, Shots, read_shots};
 use super::report;
 use crate::calibrate::{Board, Solution, Terms, View, check_replaceable, keep_camera, read_points, solve};
 use crate::document::Check;
@@ -77,7 +77,7 @@ fn from_shots(a: &Arguments, board: &Board) -> anyhow::Result<(Solution, Vec<Lef
     let Shots { mut shots, left_out } = read_shots(&a.shots, board)?;
     let points = board.points();
     let solved = |shots: &[Shot]| {
-        let view = |s: &Shot| View { name: s.name.clone(), seen: [seen(&s.sighting), Vec::new()] };
+        let view = |s: &Shot| View { name: s.name.clone(), seen: [s.sighting.seen(), Vec::new()] };
         let views: Vec<View> = shots.iter().map(view).collect();
         solve(&points, &views, [Some(shots[0].size), None], Terms::Chosen)
     };

@@ -1,7 +1,7 @@
 //! What is calibrated from: pictures and captures of a board, with the board found in them.
 
 use crate::calibrate::target::{Sighting, find};
-use crate::calibrate::{Board, MIN_VIEWS, Seen, mean};
+use crate::calibrate::{Board, MIN_VIEWS, mean};
 use crate::capture::{self, Capture};
 use crate::image::{Image, read_png};
 use anyhow::Context;
@@ -104,9 +104,4 @@ fn read(path: &Path) -> anyhow::Result<(Image<f32>, Option<Capture>)> {
 
 fn count(sighting: &Sighting) -> usize {
     sighting.marks.iter().flatten().count()
-}
-
-/// What the camera sees of the board.
-pub(super) fn seen(sighting: &Sighting) -> Vec<Seen> {
-    sighting.marks.iter().enumerate().filter_map(|(k, m)| Some((k, m.as_ref()?.at))).collect()
 }

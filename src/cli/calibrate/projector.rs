@@ -1,14 +1,13 @@
 //! `datum calibrate projector`: captures of a board with column and row fringes in; the rig out.
 
 use super::super::{Status, print};
-use super::input::{Shot, Shots, read_shots, seen};
+use super::input::{Shot, Shots, read_shots};
 use super::report;
 use crate::calibrate::{
-    Board, Calibration, Lit, Quality, Rms, Serials, Solution, Terms, View, check_replaceable, keep, scale_sigma, solve,
+    Board, Calibration, Lit, Quality, Rms, Serials, Shown, Solution, check_replaceable, keep, scale_sigma, solve_shown,
 };
 use crate::capture::Capture;
 use crate::document::Check;
-use crate::optics::Lens;
 use anyhow::Context;
 use std::path::PathBuf;
 
@@ -47,32 +46,19 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
     let Shots { shots, left_out } = read_shots(&a.captures, &a.board)?;
     let projector = projector_size(&shots)?;
     let points = a.board.points();
-    let fringes: Vec<Lit> = (1..)
-        .zip(&shots)
-        .map(|(n, shot)| {
-            eprintln!("{n}/{} {}: decoding", shots.len(), shot.name);
-            Ok(Lit::read(capture(shot)?, &a.board, &seen(&shot.sighting))?)
-        })
-        .collect::<anyhow::Result<_>>()?;
-    let solved = |lens: &Lens| {
-        let mut views = Vec::new();
-        for (shot, fringes) in shots.iter().zip(&fringes) {
-            let camera = seen(&shot.sighting.through(&a.board, lens));
-            let lit = fringes.projector(&camera, lens);
-            let rows = lit.iter().all(|(_, at)| at.y.is_finite());
-            Check(&capture(shot)?.file()).that(
-                rows && !lit.is_empty(),
-                "[[fringes]]",
-                if lit.is_empty() { "no valid fringes on the board" } else { "no row set of count 1" },
-                "column and row fringes on the board, the coarsest of each with count 1",
-            )?;
-            views.push(View { name: shot.name.clone(), seen: [camera, lit] });
-        }
-        Ok::<_, anyhow::Error>(solve(&points, &views, [Some(shots[0].size), Some(projector)], Terms::Chosen)?)
-    };
-    // centres of discs, and what fringes are fitted by, are better once the camera's lens is known
-    let coarse = solved(&Lens::pinhole(shots[0].size.0, shots[0].size.1))?;
-    let solution = solved(&coarse.devices[0].lens)?;
+    let mut shown = Vec::new();
+    for (n, shot) in shots.iter().enumerate() {
+        eprintln!("{}/{} {}: decoding", n + 1, shots.len(), shot.name);
+        let lit = Lit::read(capture(shot)?, &a.board, &shot.sighting.seen())?;
+        Check(&capture(shot)?.file()).that(
+            lit.has_rows() && !lit.is_empty(),
+            "[[fringes]]",
+            if lit.has_rows() { "no valid fringes on the board" } else { "no row set of count 1" },
+            "column and row fringes on the board, the coarsest of each with count 1",
+        )?;
+        shown.push(Shown { name: shot.name.clone(), sighting: shot.sighting.clone(), lit });
+    }
+    let solution = solve_shown(&a.board, &shown, [shots[0].size, projector])?;
     let distance_mm = solution.working_distance_mm(&points);
     let mut calibration = calibration(&solution, &shots, a)?;
     let of_fit = scale_sigma(&calibration, distance_mm);

@@ -1,7 +1,7 @@
 //! `datum calibrate verify`: one capture of a board against a calibration; exit status 1 where it does not hold.
 
 use super::super::{Status, print};
-use super::input::{read_shot, seen};
+use super::input::read_shot;
 use super::report;
 use crate::Calibration;
 use crate::calibrate::{Board, Lit, PARAMETERS, VerifyLimits, verify};
@@ -54,7 +54,7 @@ pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {
         .for_sizes(shot.size, projector, a.scale_calibration)
         .with_context(|| capture.file().display().to_string())?;
     let rig = &calibration.rig;
-    let camera = seen(&shot.sighting.through(&a.board, &rig.camera));
+    let camera = shot.sighting.through(&a.board, &rig.camera).seen();
     let lit = Lit::read(capture, &a.board, &camera)?.projector(&camera, &rig.camera);
     let limits = VerifyLimits {
         scale_percent: a.max_scale_percent,
