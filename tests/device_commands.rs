@@ -65,7 +65,7 @@ fn doctor_names_a_node_that_is_no_camera() {
 
 #[test]
 fn doctor_finds_the_simulated_station_well() {
-    let config = file("well", "format = 1\n[simulation]\nscale = 0.25\n");
+    let config = file("well", "format = 1\n[simulation]\nscale = 0.25\n[records]\ncaptures_mib = 0\n");
     let (status, said, _) = datum(&["doctor", "--config", config.to_str().expect("UTF-8")]);
     assert!(status == Some(0) && !said.contains("->"), "{said}");
     assert!(said.contains("light of the bars") && said.contains("projector's light"), "{said}");

@@ -12,9 +12,10 @@ use crate::calibrate::Calibration;
 use crate::hal::linux::{MonotonicClock, Stream};
 use crate::hal::{Clock, Error, Pool, Sensor};
 use crate::image::Image;
-use crate::records::space;
+use crate::records::{Captures, Space, space};
 use std::error::Error as _;
 use std::io::ErrorKind;
+use std::path::Path;
 use std::time::Duration;
 
 /// How well it is.
@@ -55,8 +56,9 @@ fn bad(about: &'static str, said: impl Into<String>, hint: impl Into<String>) ->
 
 /// 2026-01-01: no station is older.
 const EARLIEST_MS: u64 = 1_767_225_600_000;
-/// Less room than this share of the storage, or than these bytes, is full.
-const FULL: (f64, u64) = (0.02, 64 << 20);
+const STORAGE: &str = "storage";
+/// With less room than this the journal is soon not written any more, bytes.
+const FULL: u64 = 64 << 20;
 /// Images over which the stream is watched, and for how long at most.
 const IMAGES: usize = 30;
 const WATCHED: Duration = Duration::from_secs(3);
@@ -170,21 +172,24 @@ fn clock(unix_ms: u64) -> Finding {
 }
 
 fn storage(config: &StationFile) -> Finding {
-    const ABOUT: &str = "storage";
     let folder = config.beside(&config.records.folder);
     match space(&folder) {
-        Ok(s) => {
-            let said = format!("{}: {} MiB free of {}", folder.display(), s.free >> 20, s.of >> 20);
-            if s.share() < FULL.0 || s.free < FULL.1 {
-                let hint = "The disk is full: export and delete old records, or make [records] smaller than the disk.";
-                return bad(ABOUT, said, hint);
-            }
-            good(ABOUT, said)
-        }
+        Ok(s) => judge_storage(&folder, s, config.records.captures_mib > 0),
         Err(e) => {
-            bad(ABOUT, format!("{}: {e}", folder.display()), "Check records.folder and that its disk is mounted.")
+            let hint = "Check records.folder and that its disk is mounted.";
+            bad(STORAGE, format!("{}: {e}", folder.display()), hint)
         }
     }
+}
+
+/// Full is what the service calls so (901): a large disk is not, because little of it is free.
+fn judge_storage(folder: &Path, s: Space, captures: bool) -> Finding {
+    let said = format!("{}: {} MiB free of {}", folder.display(), s.free >> 20, s.of >> 20);
+    if s.free < if captures { Captures::FLOOR } else { FULL } {
+        let hint = "The disk is full: export and delete old records, or make [records] smaller than the disk.";
+        return bad(STORAGE, said, hint);
+    }
+    good(STORAGE, said)
 }
 
 /// Whether there is one, of images and pictures of these sizes.
@@ -549,6 +554,15 @@ mod tests {
             let found = judge_presence(present, light);
             assert!(found.health == Health::Bad && found.hint.starts_with("It is inverted"), "{found:?}");
         }
+    }
+
+    #[test]
+    fn a_disk_is_full_where_the_service_calls_it_full() {
+        let health = |mib: u64, captures| {
+            judge_storage(Path::new("records"), Space { free: mib << 20, of: 256 << 30 }, captures).health
+        };
+        assert_eq!([health(4163, true), health(511, true)], [Health::Good, Health::Bad]);
+        assert_eq!([health(511, false), health(63, false)], [Health::Good, Health::Bad]);
     }
 
     #[test]
