@@ -1,11 +1,11 @@
 //! Smooth surfaces fitted to noisy depth: height `w` over a local plane as a polynomial in `u`, `v`.
 //! In:  cells of averaged samples (u, v, w, variance) in a local frame, mm.
-//! Out: the polynomial whose order and radius the residuals justify, with covariance; ray intersections.
+//! Out: polynomials with their covariance; ray intersections.
 //! Not here: which samples belong to the surface (that is known from the panel's mask and the depth map).
 //!
-//! Order and radius are a compromise: more cells make the fit quieter, more curvature than the polynomial can
-//! follow makes it wrong. A chi-square over single pixels hardly sees the second, so fits are held against each
-//! other; and a surface once taught is fitted again by its height and tilt only.
+//! An order is a compromise: a low one is quiet, a high one follows more of the body, and a choice between them is
+//! drawn by noise. So a surface is taught as a quintic that is as smooth as its cells allow; and once taught it is fitted
+//! again by its height and tilt only.
 
 use super::Point3;
 use super::robust::{Weights, start, truncated};
@@ -142,29 +142,43 @@ fn variance<const ORDER: usize, const TERMS: usize>(p: &Polynomial, u: f64, v: f
     m.dot(&(p.covariance.fixed_view::<TERMS, TERMS>(0, 0) * m))
 }
 
-/// The polynomial of least squares over (u and v in units of the scale, height, weight), and the factor of its
-/// information. `None` with fewer than 1.5 points per coefficient or where the points do not determine it.
-fn solve<const ORDER: usize, const TERMS: usize>(
+/// Normal equations: the information (its lower triangle only), the right side, Σ weight·w², and how many points took part.
+struct Normal<const TERMS: usize> {
+    information: SMatrix<f64, TERMS, TERMS>,
+    right: SVector<f64, TERMS>,
+    square: f64,
+    used: usize,
+}
+
+/// Of the polynomial of least squares over (u and v in units of the scale, height, weight). `None` with fewer than 1.5
+/// points per coefficient.
+fn normal<const ORDER: usize, const TERMS: usize>(
     points: impl Iterator<Item = (Vector2<f64>, f64, f64)>,
-) -> Option<(SVector<f64, TERMS>, Cholesky<f64, Const<TERMS>>)> {
-    let (mut normal, mut right, mut used) = (SMatrix::<f64, TERMS, TERMS>::zeros(), SVector::zeros(), 0);
+) -> Option<Normal<TERMS>> {
+    let mut n = Normal { information: SMatrix::zeros(), right: SVector::zeros(), square: 0.0, used: 0 };
     for (uv, w, weight) in points.filter(|(.., weight)| *weight > 0.0) {
-        used += 1;
+        n.used += 1;
+        n.square += weight * w * w;
         let m = monomials::<ORDER, TERMS>(uv.x, uv.y);
         for j in 0..TERMS {
             let weighted = weight * m[j];
-            right[j] += weighted * w;
+            n.right[j] += weighted * w;
             for i in j..TERMS {
-                normal[(i, j)] += weighted * m[i];
+                n.information[(i, j)] += weighted * m[i];
             }
         }
     }
-    if 2 * used < 3 * TERMS {
-        return None;
-    }
-    let cholesky = Cholesky::new(normal)?; // reads the lower triangle only
+    (2 * n.used >= 3 * TERMS).then_some(n)
+}
+
+/// The polynomial of least squares, and the factor of its information. `None` where the points do not determine it.
+fn solve<const ORDER: usize, const TERMS: usize>(
+    points: impl Iterator<Item = (Vector2<f64>, f64, f64)>,
+) -> Option<(SVector<f64, TERMS>, Cholesky<f64, Const<TERMS>>)> {
+    let n = normal::<ORDER, TERMS>(points)?;
+    let cholesky = Cholesky::new(n.information)?; // reads the lower triangle only
     let diagonal = cholesky.l_dirty().diagonal();
-    (diagonal.min() >= 1e-7 * diagonal.max()).then(|| (cholesky.solve(&right), cholesky))
+    (diagonal.min() >= 1e-7 * diagonal.max()).then(|| (cholesky.solve(&n.right), cholesky))
 }
 
 /// Cells in units of their own: what a fit asks of them again and again.
@@ -192,15 +206,58 @@ impl Scaled {
     }
 }
 
-/// Weighted least squares; `weights` multiply 1/variance.
+impl Scaled {
+    /// (u and v over the scale, height, weight); `weights` multiply 1/variance.
+    fn weighted<'a>(&'a self, weights: &'a [f64]) -> impl Iterator<Item = (Vector2<f64>, f64, f64)> + 'a {
+        let weighted =
+            |((uv, w, inverse_sigma), weight): (&ScaledCell, &f64)| (*uv, *w, inverse_sigma.powi(2) * weight);
+        self.points.iter().zip(weights).map(weighted)
+    }
+}
+
+/// Weighted least squares.
 fn fit<const ORDER: usize, const TERMS: usize>(cells: &Scaled, weights: &[f64]) -> Option<Polynomial> {
-    let weighted = |((uv, w, inverse_sigma), weight): (&ScaledCell, &f64)| (*uv, *w, inverse_sigma.powi(2) * weight);
-    let points = cells.points.iter().zip(weights).map(weighted);
-    let (coefficients, cholesky) = solve::<ORDER, TERMS>(points)?;
-    let mut fitted = Polynomial::flat(ORDER, cells.scale);
-    fitted.coefficients.fixed_rows_mut::<TERMS>(0).copy_from(&coefficients);
-    fitted.covariance.fixed_view_mut::<TERMS, TERMS>(0, 0).copy_from(&cholesky.inverse());
-    Some(fitted)
+    let (coefficients, cholesky) = solve::<ORDER, TERMS>(cells.weighted(weights))?;
+    Some(Polynomial::solved::<TERMS>(ORDER, cells.scale, &coefficients, &cholesky))
+}
+
+/// The quintic that is as smooth as the cells allow. A quadric is free; what a body has beyond it is taken for a draw of a
+/// Gaussian process of some height and length, by whose series (of the squared exponential kernel) the higher
+/// coefficients are expected to be small; and of heights and lengths for that which makes the cells likeliest
+/// (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, 2.7 and 5.4.1).
+fn smooth(cells: &Scaled, weights: &[f64]) -> Option<Polynomial> {
+    let n = normal::<MAX_ORDER, MAX_TERMS>(cells.weighted(weights))?;
+    let higher = terms(2)..MAX_TERMS;
+    let mut best: Option<(f64, SVector<f64, MAX_TERMS>, Cholesky<f64, Const<MAX_TERMS>>)> = None;
+    for length_mm in LENGTHS_MM {
+        let expected = monomial_scatter(cells.scale / length_mm);
+        for height_mm in HEIGHTS_MM {
+            let mut information = n.information;
+            let mut evidence = -0.5 * n.square;
+            for k in higher.clone() {
+                let prior = (height_mm * expected[k]).powi(-2);
+                information[(k, k)] += prior;
+                evidence += 0.5 * prior.ln();
+            }
+            let Some(cholesky) = Cholesky::new(information) else { continue };
+            let c = cholesky.solve(&n.right);
+            evidence += 0.5 * n.right.dot(&c) - cholesky.l_dirty().diagonal().map(f64::ln).sum();
+            if best.as_ref().is_none_or(|(most, ..)| evidence > *most) {
+                best = Some((evidence, c, cholesky));
+            }
+        }
+    }
+    let (_, c, cholesky) = best?;
+    Some(Polynomial::solved::<MAX_TERMS>(MAX_ORDER, cells.scale, &c, &cholesky))
+}
+
+/// Standard deviations of the coefficients of uⁱ·vʲ in a process of height 1 whose length is one over `scale`:
+/// scaleⁱ⁺ʲ/√(i!·j!).
+fn monomial_scatter(scale: f64) -> SVector<f64, MAX_TERMS> {
+    let m = monomials::<MAX_ORDER, MAX_TERMS>(scale, scale);
+    let factorial = |k: usize| (1..=k).product::<usize>() as f64;
+    let powers = (0..=MAX_ORDER).flat_map(|degree| (0..=degree).map(move |j| (degree - j, j)));
+    SVector::from_iterator(m.iter().zip(powers).map(|(m, (i, j))| m / (factorial(i) * factorial(j)).sqrt()))
 }
 
 /// The fit that outliers do not pull, without its covariance: of fits to few of the cells the one that most of them agree with.
@@ -224,6 +281,18 @@ impl Polynomial {
     /// Height 0 without noise.
     fn flat(order: usize, scale: f64) -> Self {
         Self { order, scale, coefficients: SVector::zeros(), covariance: SMatrix::zeros() }
+    }
+
+    fn solved<const TERMS: usize>(
+        order: usize,
+        scale: f64,
+        coefficients: &SVector<f64, TERMS>,
+        cholesky: &Cholesky<f64, Const<TERMS>>,
+    ) -> Self {
+        let mut solved = Self::flat(order, scale);
+        solved.coefficients.fixed_rows_mut::<TERMS>(0).copy_from(coefficients);
+        solved.covariance.fixed_view_mut::<TERMS, TERMS>(0, 0).copy_from(&cholesky.inverse());
+        solved
     }
 
     /// A surface without noise from its coefficients by rising degree, u and v in units of `scale` mm; `None` where
@@ -293,16 +362,33 @@ impl<F> Surface<F> {
     /// quadric that most cells agree with, which a tyre behind a part of the patch does not pull, by Tukey's
     /// biweight with its scale from the residuals. `None` where the cells do not determine it.
     pub fn fit(local: Local<F>, cells: &[Cell], order: usize, radius_mm: f64) -> Option<Self> {
+        Self::robust(local, cells, order.min(2), radius_mm, |cells, weights| of_order!(order, fit(cells, weights)))
+    }
+
+    /// Fits a quintic as smooth as the cells allow, as robustly: for a surface that is not known yet, and where it ends, too,
+    /// at a corner that no cell reaches. Its covariance holds what is expected of it beyond the cells.
+    pub fn fit_smooth(local: Local<F>, cells: &[Cell], radius_mm: f64) -> Option<Self> {
+        Self::robust(local, cells, 2, radius_mm, smooth)
+    }
+
+    fn robust(
+        local: Local<F>,
+        cells: &[Cell],
+        first_order: usize,
+        radius_mm: f64,
+        refit: impl Fn(&Scaled, &[f64]) -> Option<Polynomial>,
+    ) -> Option<Self> {
         let inside = cells.iter().filter(|c| c.uv.norm() <= radius_mm);
         let scaled = Scaled::new(inside.clone());
         let n = scaled.points.len();
         let judges = Scaled::new(inside.clone().step_by(n.div_ceil(JUDGES).max(1)));
         let mut weights = Weights::default();
-        let mut polynomial = of_order!(order.min(2), robust_start(&judges))?;
+        let mut polynomial = of_order!(first_order, robust_start(&judges))?;
         for round in 0..BIWEIGHT_ROUNDS {
             weights.weigh(scaled.residuals(&polynomial));
-            let order = if round == 0 { order.min(2) } else { order };
-            polynomial = of_order!(order, fit(&scaled, &weights.weights))?;
+            let weights = &weights.weights;
+            polynomial =
+                if round == 0 { of_order!(first_order, fit(&scaled, weights)) } else { refit(&scaled, weights) }?;
         }
         let used = weights.weights.iter().filter(|w| **w > 0.0).count();
         Some(Self {
@@ -331,34 +417,6 @@ impl<F> Surface<F> {
             }
         }
         Some(Self { polynomial, ..fit })
-    }
-
-    /// Of the fits of `orders` × `radii_mm` the quietest that agrees, at the local coordinates `at`, with every
-    /// noisier one to 3 of its sigmas: noisier fits follow the body more closely, and once a quieter one leaves them
-    /// it is wrong. Lepskii, "On a problem of adaptive estimation in Gaussian white noise", Theory of Probability
-    /// and its Applications 35 (1991) 454. Residuals alone do not tell: at the border of a patch, a flare that bends
-    /// a cubic by 0.09 mm leaves 0.01 mm of them.
-    pub fn choose(
-        local: Local<F>,
-        cells: &[Cell],
-        orders: std::ops::RangeInclusive<usize>,
-        radii_mm: &[f64],
-        at: &[Vector2<f64>],
-    ) -> Option<Self> {
-        let fits = orders.flat_map(|order| radii_mm.iter().map(move |r| (order, *r)));
-        let mut fits: Vec<(Vec<(f64, f64)>, Self)> = fits
-            .filter_map(|(order, radius_mm)| Self::fit(local, cells, order, radius_mm))
-            .map(|fit| (at.iter().map(|uv| (fit.polynomial.height(uv), fit.polynomial.variance(uv))).collect(), fit))
-            .collect();
-        fits.sort_by(|a, b| {
-            let noise = |f: &[(f64, f64)]| f.iter().map(|(_, variance)| variance).sum::<f64>();
-            noise(&a.0).total_cmp(&noise(&b.0))
-        });
-        let agrees = |quiet: &[(f64, f64)], noisy: &[(f64, f64)]| {
-            quiet.iter().zip(noisy).all(|((h, _), (g, variance))| (h - g).abs() <= 3.0 * variance.sqrt() + RIPPLE_MM)
-        };
-        let chosen = (0..fits.len()).find(|&k| fits[k + 1..].iter().all(|noisy| agrees(&fits[k].0, &noisy.0)))?;
-        Some(fits.swap_remove(chosen).1)
     }
 
     /// Where the ray from the outer frame's origin along `direction` meets the surface moved inwards by
@@ -401,8 +459,10 @@ impl<F> Surface<F> {
 }
 
 const BIWEIGHT_ROUNDS: usize = 6;
-/// Fits may differ by this beyond their noise, mm: what fringe harmonics leave in depth.
-const RIPPLE_MM: f64 = 0.005;
+/// Over which length a body differs from a quadric, mm, and by how much, mm: from a rolled flange to a door, from nothing
+/// to a flare.
+const LENGTHS_MM: [f64; 7] = [15.0, 20.0, 30.0, 45.0, 60.0, 90.0, 130.0];
+const HEIGHTS_MM: [f64; 7] = [0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0];
 
 /// At most this many cells judge where the robust fit starts.
 const JUDGES: usize = 300;
@@ -511,17 +571,60 @@ mod tests {
     }
 
     #[test]
-    fn a_flat_cylinder_is_fitted_wide_and_a_flare_narrow_or_high() {
-        let at = [Vector2::zeros()];
-        let radii = [30.0, 45.0, 60.0, 90.0];
-        let wide = Surface::choose(local(), &cells(|u, _| -u * u / 4000.0, 0.05), 2..=4, &radii, &at).expect("fits");
-        assert!(wide.radius_mm == 90.0 && wide.misfit_mm < 0.005, "{} {}", wide.radius_mm, wide.misfit_mm);
-        let flare = |u: f64, v: f64| -u * u / 4000.0 + 3.0 * (-(v / 35.0).powi(2)).exp();
-        let fit = Surface::choose(local(), &cells(flare, 0.05), 2..=4, &radii, &at).expect("fits");
-        let quadric = Surface::fit(local(), &cells(flare, 0.05), 2, 90.0).expect("fits");
-        let error = |s: &Surface<Camera>| (s.polynomial.height(&at[0]) - 3.0).abs();
-        // a choice may be off by three sigmas of the noisier fits that it was held against
-        assert!(error(&fit) < 0.06 && error(&quadric) > 0.3, "{} {}", error(&fit), error(&quadric));
+    fn coefficients_are_expected_as_the_kernels_series_has_them() {
+        // exp(−|p−q|²/2) = exp(−|p|²/2)·exp(−|q|²/2)·Σ (p·q)ᵏ/k!
+        let (p, q) = (Vector2::new(0.5, -0.3), Vector2::new(-0.2, 0.6));
+        let scatter = monomial_scatter(1.0);
+        let [at_p, at_q] = [p, q].map(|r| monomials::<MAX_ORDER, MAX_TERMS>(r.x, r.y));
+        let series: f64 = (0..MAX_TERMS).map(|k| scatter[k].powi(2) * at_p[k] * at_q[k]).sum();
+        let kernel = (-0.5 * ((p - q).norm_squared() - p.norm_squared() - q.norm_squared())).exp();
+        assert!((series / kernel - 1.0).abs() < 1e-5, "{series} {kernel}");
+        assert!((monomial_scatter(0.5)[9] - 0.125 * scatter[9]).abs() < 1e-12);
+    }
+
+    /// Cells of a corner's panel: what is beyond 5 mm of its two borders.
+    fn corner(height: impl Fn(f64, f64) -> f64, seed: u64) -> Vec<Cell> {
+        let mut noise = Noise::new(seed);
+        let mut cells = cells(height, 0.0);
+        cells.retain(|c| c.uv.x > 4.0 && c.uv.y > 4.0);
+        for c in &mut cells {
+            (c.w, c.variance) = (c.w + 0.02 * noise.gauss(), 0.02 * 0.02);
+        }
+        cells
+    }
+
+    #[test]
+    fn a_flat_body_is_taught_as_quietly_as_by_a_quadric() {
+        let at = Vector2::zeros();
+        let variance = |fit: Option<Surface<Camera>>| fit.expect("fits").polynomial.variance(&at);
+        let cells = corner(|u, _| -u * u / 4000.0, 3);
+        let [smooth, quadric, quintic] = [
+            Surface::fit_smooth(local(), &cells, 60.0),
+            Surface::fit(local(), &cells, 2, 60.0),
+            Surface::fit(local(), &cells, 5, 60.0),
+        ]
+        .map(variance);
+        assert!(smooth < 2.0 * quadric && quintic > 20.0 * quadric, "{smooth:.2e} {quadric:.2e} {quintic:.2e}");
+    }
+
+    #[test]
+    fn a_flare_is_followed_to_a_corner_that_no_cell_reaches_and_the_sigma_stated_is_the_scatter() {
+        let at = Vector2::zeros();
+        let (mut square, mut over_sigma, mut quadrics, mut quintics) = (0.0, 0.0, 0.0, 0.0);
+        const N: u64 = 60;
+        for seed in 0..N {
+            let cells = corner(|u, v| -u * u / 4000.0 + 2.0 * (-v / 30.0).exp(), seed);
+            let error = |fit: Surface<Camera>| (fit.polynomial.height(&at) - 2.0).powi(2);
+            let fit = Surface::fit_smooth(local(), &cells, 60.0).expect("fits");
+            over_sigma += error(fit.clone()) / fit.polynomial.variance(&at);
+            square += error(fit);
+            quadrics += error(Surface::fit(local(), &cells, 2, 60.0).expect("fits"));
+            quintics += error(Surface::fit(local(), &cells, 5, 60.0).expect("fits"));
+        }
+        let [square, over_sigma, quadrics, quintics] =
+            [square, over_sigma, quadrics, quintics].map(|s| (s / N as f64).sqrt());
+        assert!(square < 0.4 * quintics && square < 0.2 * quadrics, "{square:.3} {quadrics:.3} {quintics:.3}");
+        assert!(over_sigma < 1.5, "{over_sigma:.2} {square:.3}");
     }
 
     #[test]

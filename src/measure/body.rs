@@ -37,7 +37,7 @@ impl Site<'_> {
     }
 
     /// Of the patches about it, mm.
-    pub(crate) fn radii(&self) -> [f64; 4] {
+    pub(crate) fn radii(&self) -> [f64; 3] {
         RADII_MM.map(|r| r + self.panel.hole_mm)
     }
 }
@@ -49,11 +49,10 @@ const CELL_MM: f64 = 3.0;
 const COARSE_CELL_MM: f64 = 6.0;
 /// Patches are held to the coarse surface within this, mm.
 const HOLD_MM: f64 = 3.0;
-/// What a patch may be made of.
-const ORDERS: std::ops::RangeInclusive<usize> = 2..=5;
-const RADII_MM: [f64; 4] = [30.0, 45.0, 60.0, 90.0];
+/// Of patches: where coverage is judged, of what is taught, of the widest.
+const RADII_MM: [f64; 3] = [45.0, 60.0, 90.0];
 /// The widest of them beyond the hole of a flap.
-pub(crate) const REACH_MM: f64 = RADII_MM[3];
+pub(crate) const REACH_MM: f64 = RADII_MM[2];
 /// Least share of a patch's pixels with valid depth. On black paint, where the projector mirrors itself, half of
 /// them go; a few per cent are enough for a fit, but not to be sure what it is a fit of.
 const MIN_COVERAGE: f64 = 0.15;
@@ -173,7 +172,7 @@ pub(crate) fn panel_states(
     site: &Site<'_>,
     mut visit: impl FnMut(State),
 ) {
-    panel_pixels(rays, camera, site, site.radii()[1], |i, _, _| {
+    panel_pixels(rays, camera, site, site.radii()[0], |i, _, _| {
         if i.is_multiple_of(5) {
             visit(map.pixels[i].state);
         }
@@ -251,7 +250,7 @@ pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> O
         let mut points: List<(u32, Vector3<f64>, f64)> = List::new(); // cell, local coordinates, variance
         let pixels_of_cell = (COARSE_CELL_MM * camera.fx / middle.z / site.step() as f64).powi(2);
         let (every, mut number) = ((pixels_of_cell / COARSE_POINTS) as usize, 0usize);
-        panel_pixels(map.rays, camera, site, site.radii()[3], |i, ray, _| {
+        panel_pixels(map.rays, camera, site, site.radii()[2], |i, ray, _| {
             let depth = &map.pixels[i];
             number += 1;
             if number.is_multiple_of(every.max(1)) && depth.state == State::Valid {
@@ -296,8 +295,8 @@ pub(crate) fn coarse(map: &DepthMap<'_>, camera: &Lens, sites: &[Site<'_>]) -> O
 
 /// What a patch may be.
 pub(crate) enum Shape<'a> {
-    /// Anything smooth: of the orders and these radii (mm) the one with the least expected error over these local (u, v).
-    Smooth([f64; 4], &'a [Vector2<f64>]),
+    /// Anything smooth, within this radius, mm.
+    Smooth(f64),
     /// What was taught, within the radius (mm) it was taught for.
     Taught(&'a Polynomial, f64),
 }
@@ -305,7 +304,7 @@ pub(crate) enum Shape<'a> {
 impl Shape<'_> {
     fn fit(&self, local: Local<frame::Camera>, cells: &[Cell]) -> Option<Surface<frame::Camera>> {
         match self {
-            Self::Smooth(radii, at) => Surface::choose(local, cells, ORDERS, radii, at),
+            Self::Smooth(radius_mm) => Surface::fit_smooth(local, cells, *radius_mm),
             Self::Taught(shape, radius_mm) => Surface::fit_shape(local, cells, shape, *radius_mm),
         }
     }
@@ -389,17 +388,17 @@ impl Samples {
     pub(crate) fn patch(&self, site: &Site<'_>, shape: &Shape<'_>) -> Result<Patch, Code> {
         let (mut states, mut valid) = (List::new(), 0usize);
         let radii = site.radii();
-        let mut sums = CellSums::new(radii[3]);
+        let mut sums = CellSums::new(radii[2]);
         let mut used = List::new();
         let outward: Vector3<f64> = site.local.axes.column(2).into();
         let plane = OnPlane::new(&site.local);
         for sample in &self.0 {
             let uv = plane.meet(&sample.ray);
             let square = uv.norm_squared();
-            if square > radii[3] * radii[3] || !site.panel.mask.contains(&uv) {
+            if square > radii[2] * radii[2] || !site.panel.mask.contains(&uv) {
                 continue;
             }
-            let near = square <= radii[1] * radii[1];
+            let near = square <= radii[0] * radii[0];
             states.extend(near.then_some(sample.state));
             if !sample.held {
                 continue;

@@ -265,9 +265,8 @@ fn place(
             let mask = mask_about(camera, panel, |uv| surface_point(&body.coarse, &local, uv)).eroded(EROSION_MM.1);
             let panel = Panel::new(mask);
             let site = Site { local, panel: &panel };
-            let at = judging_points(&panel);
             let patch = Samples::new(&body.map, camera, &site, panel.hole_mm + body::REACH_MM, &body.coarse)
-                .patch(&site, &Shape::Smooth(site.radii(), &at))
+                .patch(&site, &Shape::Smooth(site.radii()[1]))
                 .map_err(|code| {
                     refusal(
                         feature,
@@ -294,21 +293,6 @@ fn place(
         out.push(Placed { local, patch });
     }
     Ok(out)
-}
-
-/// Where a patch must be right, local (u, v): about the point as far as its contour reaches, and in the point itself
-/// unless that lies in a hole.
-fn judging_points(panel: &Panel) -> Vec<Vector2<f64>> {
-    let hole_mm = panel.hole_mm;
-    let ring = (0..12).map(|k| {
-        let turn = nalgebra::Rotation2::new(f64::from(k) * std::f64::consts::TAU / 12.0);
-        turn * Vector2::new(hole_mm + CORNER_MM / 2.0, 0.0)
-    });
-    let mut at: Vec<Vector2<f64>> = ring.filter(|uv| panel.mask.contains(uv)).collect();
-    if hole_mm < CORNER_MM / 2.0 || at.is_empty() {
-        at.push(Vector2::zeros());
-    }
-    at
 }
 
 /// The point of `surface` over (u, v) of another local frame: along that frame's w.
