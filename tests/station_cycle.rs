@@ -5,13 +5,15 @@
 mod bench;
 
 use bench::{Bench, jobs};
+use datum::hal::linux::{Sys, Thermometer};
 use datum::hal::{Camera, Clock, Error, Exposure, Presence, Reading, Sensor};
 use datum::image::Image;
 use datum::measure::Shared;
 use datum::plc::{Order, OrderKind, Report, ResultCode, State, Trigger};
 use datum::sim::{Build, Cue, Deviation, Fault, Paint, Random, Script, When};
 use datum::station::{
-    Hardware, Simulated, SimulationKeys, StationFile, Traffic, TriggerKind, World, load_all, missing, outdated,
+    Hardware, Simulated, SimulationKeys, StationFile, Temperatures, Traffic, TriggerKind, World, load_all, missing,
+    outdated,
 };
 use datum::{Code, VehicleFile};
 use std::path::{Path, PathBuf};
@@ -227,6 +229,44 @@ fn a_cold_station_refuses_until_it_is_warm() {
     assert!(bench.status.state == State::WarmUp && bench.status.not_ready.not_warm);
     assert_eq!(refused(&bench.order(trigger(1))), Some((OrderKind::Measure, Code::TriggerInWarmUp)));
     assert!(bench.until(State::Ready, 30));
+}
+
+#[test]
+fn a_station_that_is_too_hot_says_so_stays_dark_and_measures_again_when_it_has_cooled() {
+    let sys = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("hot-{}", std::process::id()));
+    let chip = sys.join("class/hwmon/hwmon0");
+    std::fs::create_dir_all(&chip).expect("writable");
+    std::fs::write(chip.join("name"), "head\n").expect("writable");
+    let is = |celsius: u32| std::fs::write(chip.join("temp1_input"), format!("{celsius}000\n")).expect("writable");
+    is(65);
+    let projector = Some(Thermometer::new(Sys(sys.clone()), "head"));
+    let temperatures = Temperatures { projector, most: [90.0, 80.0, 70.0], ..Temperatures::default() };
+    let fit = |_: &Simulated, h: &mut Hardware| h.temperatures = temperatures.clone();
+    let mut bench = Bench::with(config(), Script::default(), jobs(), fit, None);
+    assert!(bench.until(State::Ready, 20) && bench.status.projector_celsius == Some(65.0));
+    is(71);
+    let mut told = Vec::new();
+    while bench.status.state == State::Ready && told.len() < 100 {
+        told.extend(bench.turn());
+    }
+    assert!(told.contains(&Report::Error(Code::OverTemperature, 0)), "{told:?}");
+    assert!(bench.status.state == State::Fault && bench.status.not_ready.temperature && !bench.lit());
+    bench.put(white(), Deviation::default(), Build::default());
+    let hot = Some((OrderKind::Measure, Code::OverTemperature));
+    assert_eq!(refused(&bench.order(trigger(1))), hot);
+    // it is not tried with light, neither by itself nor because somebody cleared the error; told once, and after that
+    let images = bench.world.images();
+    let told: Vec<Report> = (0..50).flat_map(|_| bench.turn()).collect();
+    assert!(!told.iter().any(|r| matches!(r, Report::Error(..))), "{told:?}");
+    assert!(bench.order(Order::ClearError).contains(&Report::Error(Code::OverTemperature, 0)));
+    is(67);
+    assert!(!bench.until(State::Ready, 50), "it has hardly cooled");
+    assert_eq!(bench.world.images(), images);
+    is(64);
+    assert!(bench.until(State::Ready, 50) && !bench.status.not_ready.temperature);
+    assert!(bench.world.images() > images, "it was tested first");
+    assert_eq!(finished(&bench.order(trigger(1))), Some((ResultCode::Ok, None)));
+    std::fs::remove_dir_all(sys).expect("just made");
 }
 
 #[test]

@@ -219,7 +219,7 @@ pub struct PresenceKeys {
 }
 
 /// `[temperatures]`: hwmon sensors; none: not known.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TemperatureKeys {
     /// The computer's.
@@ -231,6 +231,25 @@ pub struct TemperatureKeys {
     /// The projector's.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub projector: Option<String>,
+    /// The computer may be so warm, °C.
+    pub computer_max_c: f64,
+    /// And the camera.
+    pub camera_max_c: f64,
+    /// And the projector.
+    pub projector_max_c: f64,
+}
+
+impl Default for TemperatureKeys {
+    fn default() -> Self {
+        Self {
+            computer: None,
+            camera: None,
+            projector: None,
+            computer_max_c: 90.0,
+            camera_max_c: 80.0,
+            projector_max_c: 70.0,
+        }
+    }
 }
 
 /// What begins a cycle.
@@ -550,6 +569,9 @@ keys! {
     "temperatures" "computer": "the computer's hwmon sensor; left out: not known", "a chip's name, or \"name/label\"";
     "temperatures" "camera": "the camera's hwmon sensor; left out: not known", "a chip's name, or \"name/label\"";
     "temperatures" "projector": "the projector's hwmon sensor; left out: not known", "a chip's name, or \"name/label\"";
+    "temperatures" "computer_max_c": "°C beyond which nothing is measured until the computer has cooled by 5 (211)", "30 to 120";
+    "temperatures" "camera_max_c": "the same for the camera; its data sheet says how warm it may be", "30 to 120";
+    "temperatures" "projector_max_c": "the same for the projector", "30 to 120";
     "cycle" "trigger": "what begins a cycle; simulated vehicles come by themselves until a PLC takes ownership", "\"plc\", \"presence\"";
     "cycle" "self_test": "whether camera, projector and each bar are tried before the station is ready", "true, false";
     "cycle" "warm_up_s": "from the start until camera and projector count as warm", "0 to 7200";
@@ -675,6 +697,10 @@ impl StationFile {
         check.within("lights.pwm_hz", lights.pwm_hz, 100.0..=1e6)?;
         check.within("lights.settle_ms", lights.settle_ms, 0.0..=1000.0)?;
         check.within("presence.debounce_ms", presence.debounce_ms, 0..=10_000)?;
+        let t = &self.temperatures;
+        check.within("temperatures.computer_max_c", t.computer_max_c, 30.0..=120.0)?;
+        check.within("temperatures.camera_max_c", t.camera_max_c, 30.0..=120.0)?;
+        check.within("temperatures.projector_max_c", t.projector_max_c, 30.0..=120.0)?;
 
         // a world is simulated whole, or real
         for (key, simulated) in [
@@ -857,7 +883,8 @@ seed = 1
         let lights = LightsKeys { left: name(), right: name(), left_pwm: name(), right_pwm: name(), ..full.lights };
         full.lights = LightsKeys { alive: name(), ..lights };
         full.presence.line = name();
-        full.temperatures = TemperatureKeys { computer: name(), camera: name(), projector: name() };
+        full.temperatures =
+            TemperatureKeys { computer: name(), camera: name(), projector: name(), ..full.temperatures };
         let mut found = Vec::new();
         for (name, value) in toml::Table::try_from(&full).expect("plain tables") {
             match value.as_table() {

@@ -97,7 +97,12 @@ pub fn presence(config: &StationFile) -> Result<Option<PresenceLine>, Error> {
 pub fn temperatures(config: &StationFile) -> Temperatures {
     let of = |name: &Option<String>| name.as_ref().map(|name| Thermometer::new(Sys::default(), name));
     let keys = &config.temperatures;
-    Temperatures { computer: of(&keys.computer), camera: of(&keys.camera), projector: of(&keys.projector) }
+    Temperatures {
+        computer: of(&keys.computer),
+        camera: of(&keys.camera),
+        projector: of(&keys.projector),
+        most: [keys.computer_max_c, keys.camera_max_c, keys.projector_max_c],
+    }
 }
 
 /// Every output in its safe state, whatever state its last program left it in; what could not be reached.

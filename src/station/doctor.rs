@@ -214,13 +214,20 @@ fn calibration(config: &StationFile) -> Finding {
 }
 
 fn warmth(temperatures: &Temperatures, tell: &mut dyn FnMut(Finding)) {
-    for (about, thermometer) in [
+    for ((about, thermometer), most) in [
         ("temperature of the computer", &temperatures.computer),
         ("temperature of the camera", &temperatures.camera),
         ("temperature of the projector", &temperatures.projector),
-    ] {
+    ]
+    .into_iter()
+    .zip(temperatures.most)
+    {
         match thermometer.as_ref().map(|t| t.read()) {
             None => {}
+            Some(Ok(celsius)) if celsius > most => {
+                let hint = "It is too hot, so nothing is measured (211): check fans and filters, let it cool.";
+                tell(bad(about, format!("{celsius:.1} °C, allowed {most:.0} °C"), hint));
+            }
             Some(Ok(celsius)) => tell(good(about, format!("{celsius:.1} °C"))),
             Some(Err(e)) => tell(wrong(about, &e)),
         }

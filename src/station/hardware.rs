@@ -1,4 +1,4 @@
-//! The station's devices in one hand, which turns the lights off.
+//! The station's devices in one hand, which turns the lights off, and how warm they may be.
 //! In: devices. Out: the same; darkness, also when the thread that holds them panics or ends.
 
 use crate::capture::Devices;
@@ -6,8 +6,11 @@ use crate::code::Code;
 use crate::hal;
 use crate::hal::linux::Thermometer;
 
+/// Who was too hot counts as cool again so much below what is allowed, °C: it must not come and go.
+const COOL: f64 = 5.0;
+
 /// What tells how warm it is; none: nobody knows.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Temperatures {
     /// The computer.
     pub computer: Option<Thermometer>,
@@ -15,12 +18,30 @@ pub struct Temperatures {
     pub camera: Option<Thermometer>,
     /// The projector.
     pub projector: Option<Thermometer>,
+    /// How warm computer, camera and projector may be, °C.
+    pub most: [f64; 3],
+}
+
+impl Default for Temperatures {
+    fn default() -> Self {
+        Self { computer: None, camera: None, projector: None, most: [f64::INFINITY; 3] }
+    }
 }
 
 impl Temperatures {
     /// °C of computer, camera, projector; a sensor that does not answer is not known.
     pub fn read(&self) -> [Option<f64>; 3] {
         [&self.computer, &self.camera, &self.projector].map(|t| t.as_ref().and_then(|t| t.read().ok()))
+    }
+
+    /// What is too hot, in a sentence; `before`: something was.
+    pub fn too_hot(&self, celsius: [Option<f64>; 3], before: bool) -> Option<String> {
+        let names = ["computer", "camera", "projector"];
+        names.into_iter().zip(celsius).zip(self.most).find_map(|((name, celsius), most)| {
+            let allowed = if before { most - COOL } else { most };
+            let celsius = celsius.filter(|c| *c > allowed)?;
+            Some(format!("The {name} is {celsius:.1} °C warm, allowed {allowed:.0} °C."))
+        })
     }
 }
 
@@ -58,5 +79,23 @@ impl Hardware {
 impl Drop for Hardware {
     fn drop(&mut self) {
         let _ = self.dark(); // there is nobody left to tell
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_too_hot_must_cool_down_before_it_counts_as_cool() {
+        let temperatures = Temperatures { most: [90.0, 80.0, 70.0], ..Temperatures::default() };
+        let hot = |celsius, before| temperatures.too_hot(celsius, before);
+        assert_eq!(hot([Some(90.0), Some(80.0), Some(70.0)], false), None);
+        assert_eq!(hot([None; 3], true), None, "nobody knows");
+        let says = "The projector is 70.4 °C warm, allowed 70 °C.";
+        assert_eq!(hot([Some(50.0), None, Some(70.4)], false).as_deref(), Some(says));
+        let says = "The camera is 75.5 °C warm, allowed 75 °C.";
+        assert_eq!(hot([Some(50.0), Some(75.5), None], true).as_deref(), Some(says));
+        assert_eq!(hot([Some(50.0), Some(75.0), None], true), None);
     }
 }

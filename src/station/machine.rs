@@ -312,9 +312,14 @@ impl Machine {
     fn check_devices(&mut self) {
         let hardware = &mut self.parts.hardware;
         let s = &mut self.status;
-        [s.computer_celsius, s.camera_celsius, s.projector_celsius] = hardware.temperatures.read();
+        let celsius = hardware.temperatures.read();
+        [s.computer_celsius, s.camera_celsius, s.projector_celsius] = celsius;
         if !matches!(self.state.mode, Mode::Ready | Mode::WarmUp) {
             return;
+        }
+        if let Some(said) = hardware.temperatures.too_hot(celsius, false) {
+            tracing::warn!(code = Code::OverTemperature.number(), "{said}");
+            return self.happened(Event::Tested(Err(Code::OverTemperature)));
         }
         let camera = hardware.camera.check().map_err(|e| (Code::CameraLost, e));
         let gone = camera.and_then(|()| hardware.projector.check().map_err(|e| (Code::ProjectorSilent, e)));
@@ -386,6 +391,12 @@ impl Machine {
                 self.tell_status();
                 // a projector that was silent may have forgotten them
                 self.loaded &= self.state.fault != Some(Code::ProjectorSilent);
+                let before = self.state.fault == Some(Code::OverTemperature);
+                let temperatures = &self.parts.hardware.temperatures;
+                if temperatures.too_hot(temperatures.read(), before).is_some() {
+                    self.tested_at = self.parts.clock.now();
+                    return Some(Event::Tested(Err(Code::OverTemperature))); // no light while it is to cool
+                }
                 let mut tested = Ok(());
                 if !self.loaded {
                     tested = selftest::load(&mut self.parts.hardware);
@@ -444,6 +455,7 @@ impl Machine {
         s.not_ready.camera = fault(&[Code::CameraLost]);
         s.not_ready.projector = fault(&[Code::ProjectorSilent]);
         s.not_ready.light = fault(&[Code::LightFault, Code::Ambient]);
+        s.not_ready.temperature = fault(&[Code::OverTemperature]);
         s.not_ready.service = state.stand_by;
         s.not_ready.no_job = job.is_none();
         s.active_job = active.unwrap_or(0);
