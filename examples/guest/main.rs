@@ -9,6 +9,8 @@ mod play;
 mod player;
 mod plc;
 mod program;
+#[cfg(feature = "libcamera")]
+mod sensor;
 mod trials;
 mod v4l2;
 mod vehicles;
@@ -31,6 +33,9 @@ enum Command {
     Prepare(vehicles::Arguments),
     /// Shows that datum measures in the guest
     Trials(trials::Arguments),
+    /// Takes images over libcamera
+    #[cfg(feature = "libcamera")]
+    Libcamera,
     /// Sends images of 2592×1944 through the camera's nodes and compares what comes out
     Exact,
 }
@@ -40,6 +45,8 @@ fn main() -> ExitCode {
         Command::Play(a) => play::run(&a),
         Command::Prepare(a) => vehicles::run(&a),
         Command::Trials(a) => trials::run(&a),
+        #[cfg(feature = "libcamera")]
+        Command::Libcamera => sensor::run(),
         Command::Exact => exact::run(),
     };
     done.unwrap_or_else(|e| {

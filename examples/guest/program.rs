@@ -7,11 +7,11 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-const PATH: &str = "./datum";
+pub(crate) const PATH: &str = "./datum";
 
 /// The station's configuration in the guest. What the drivers need is here; all else is as datum has it, but for time: the
 /// player gives some ten images a second.
-const CONFIG: &str = r#"format = 1
+pub(crate) const CONFIG: &str = r#"format = 1
 serial = "GUEST"
 calibration = "calibration.toml"
 detector = "none"
@@ -101,6 +101,19 @@ pub(crate) fn doctor(folder: &Path) -> anyhow::Result<()> {
     let status = Command::new(PATH).arg("doctor").arg("--config").arg(folder.join("station.toml")).status()?;
     ensure!(status.success(), "datum doctor: {status}");
     Ok(())
+}
+
+/// What `datum doctor` says of a camera at another node and in another format. It must find something wrong.
+pub(crate) fn doctor_of(folder: &Path, device: &str, format: &str) -> anyhow::Result<String> {
+    let (node, grey) = ("device = \"/dev/datum/camera\"", "format = \"GREY\"");
+    ensure!(CONFIG.contains(node) && CONFIG.contains(grey), "the configuration has other keys");
+    let text = CONFIG.replace("TRIGGER", "plc").replacen(node, &format!("device = \"{device}\""), 1);
+    let file = folder.join("wrong.toml");
+    fs::write(&file, text.replacen(grey, &format!("format = \"{format}\""), 1))?;
+    let out = Command::new(PATH).arg("doctor").arg("--config").arg(&file).output()?;
+    fs::remove_file(&file)?;
+    ensure!(out.status.code() == Some(3), "datum doctor: {}", out.status);
+    Ok(String::from_utf8_lossy(&out.stdout).into_owned())
 }
 
 /// `datum safe`, as systemd's ExecStopPost runs it.

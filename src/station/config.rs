@@ -526,7 +526,7 @@ keys! {
     "" "detector": "the network that proposes where features are, beside this file; left out: the one that comes with the program; \"none\": they are searched for", "a path, \"built-in\", \"none\"";
     "camera" "kind": "how the camera is reached", "\"simulated\", \"v4l2\", \"libcamera\"";
     "camera" "longest_ms": "no exposure is longer; gain makes up for it, so that all images are taken in time", "1 to 100";
-    "camera" "device": "its V4L2 node, or the name that the driver gives it (/sys/class/video4linux/*/name)", "a path, a name";
+    "camera" "device": "its V4L2 node, or the name that the driver gives it (/sys/class/video4linux/*/name); of libcamera its id or model (`cam -l`)", "a path, a name";
     "camera" "width": "columns of its images, px", "16 to 10000";
     "camera" "height": "rows of its images, px", "16 to 10000";
     "camera" "format": "how it delivers samples: 8 bits, or the lowest 10, 12 or 16 bits of a word", "\"GREY\", \"Y10\", \"Y12\", \"Y16\"";
@@ -536,7 +536,7 @@ keys! {
     "camera" "exposure_unit_us": "one unit of its exposure control, us", "0.1 to 1000";
     "camera" "gain_one": "what its gain control shows at gain 1, from which gain grows in proportion; left out: its least value", "1 or greater";
     "camera" "lag_images": "images after a change of exposure or gain that are still exposed as before", "0 to 10";
-    "camera" "controls": "further V4L2 controls by name, set whenever it is opened, as in { \"Trigger Mode\" = 1 }", "whole numbers";
+    "camera" "controls": "further controls by name, V4L2's or libcamera's, set whenever it is opened, as in { \"Trigger Mode\" = 1 }", "whole numbers";
     "camera" "black_level": "grey level of no light", "0 to 4095";
     "camera" "white_level": "grey level from which on a sample is saturated; left out: the format's largest", "100 to 65535";
     "camera" "dn_per_electron": "grey levels per electron at gain 1; left out: those of a sensor that holds 8000", "greater than 0";
@@ -626,7 +626,8 @@ impl StationFile {
 
     /// The device whose driver this program was built without, as its key and value.
     pub fn not_built(&self) -> Option<String> {
-        (self.camera.kind == CameraKind::Libcamera).then(|| "camera.kind = \"libcamera\"".into())
+        let libcamera = self.camera.kind == CameraKind::Libcamera && !cfg!(feature = "libcamera");
+        libcamera.then(|| "camera.kind = \"libcamera\"".into())
     }
 
     /// Whether the devices are simulated; a station's are all of them, or none.
@@ -957,7 +958,8 @@ line = "gpio/vehicle"
     #[test]
     fn a_device_without_a_driver_is_named() {
         let read = reading(&REAL.replacen("v4l2", "libcamera", 1)).expect("parses");
-        assert_eq!(read.not_built().as_deref(), Some("camera.kind = \"libcamera\""));
+        let missing = (!cfg!(feature = "libcamera")).then_some("camera.kind = \"libcamera\"");
+        assert_eq!(read.not_built().as_deref(), missing);
         assert_eq!(StationFile::default().not_built(), None);
     }
 }

@@ -1,14 +1,16 @@
 //! A station's real devices. In: its configuration, which has been checked. Out: devices of `hal`; all of them dark.
 //! Not here: the simulated ones; what is done with devices.
 
-use super::config::{CameraTrigger, PixelFormat, ProjectorKind, StationFile};
+use super::config::{CameraKind, CameraTrigger, PixelFormat, ProjectorKind, StationFile};
 use super::hardware::{Hardware, Temperatures};
 use crate::calibrate::Calibration;
 use crate::capture::TYPICAL_GAIN;
 use crate::hal::linux::{
-    BarSettings, Bars, CameraSettings, OutputProjector, OutputSettings, PresenceLine, SequencedProjector,
-    SequencedSettings, Sys, Thermometer, V4l2Camera, bars_dark, sequenced_dark,
+    BarSettings, Bars, CameraSettings, LineName, OutputProjector, OutputSettings, PresenceLine, SequencedProjector,
+    SequencedSettings, Sys, Thermometer, V4l2Camera, Watch, bars_dark, sequenced_dark,
 };
+#[cfg(feature = "libcamera")]
+use crate::hal::linux::{LibcameraCamera, LibcameraSettings};
 use crate::hal::{Error, Projector, Sensor};
 use crate::image::{Image, read_png};
 use std::io;
@@ -21,7 +23,7 @@ pub fn real(config: &StationFile) -> Result<Hardware, Error> {
     Ok(Hardware {
         bars: Box::new(bars(config)?),
         projector: projector(config)?,
-        camera: Box::new(camera(config)?),
+        camera: camera(config)?,
         presence: presence(config)?.map(|p| Box::new(p) as _),
         temperatures: temperatures(config),
         simulated: false,
@@ -29,7 +31,7 @@ pub fn real(config: &StationFile) -> Result<Hardware, Error> {
 }
 
 /// The camera.
-pub fn camera(config: &StationFile) -> Result<V4l2Camera, Error> {
+pub fn camera(config: &StationFile) -> Result<Box<dyn Watch + Send>, Error> {
     let keys = &config.camera;
     let (fourcc, bits) = match keys.format {
         PixelFormat::Grey => (*b"GREY", 8),
@@ -48,18 +50,37 @@ pub fn camera(config: &StationFile) -> Result<V4l2Camera, Error> {
         read_noise_e: keys.read_noise_e,
         serial: keys.serial.clone(),
     };
+    let trigger = (keys.trigger == CameraTrigger::Gpio).then(|| parsed(&keys.trigger_line));
+    if keys.kind == CameraKind::Libcamera {
+        return libcamera(config, sensor, trigger);
+    }
     let settings = CameraSettings {
         device: named(&keys.device),
         sensor,
         fourcc,
         rate: keys.rate,
-        trigger: (keys.trigger == CameraTrigger::Gpio).then(|| parsed(&keys.trigger_line)),
+        trigger,
         exposure_unit: Duration::from_secs_f64(keys.exposure_unit_us / 1e6),
         gain_one: keys.gain_one,
         lag: keys.lag_images,
         controls: keys.controls.clone(),
     };
-    V4l2Camera::new(Sys::default(), settings)
+    Ok(Box::new(V4l2Camera::new(Sys::default(), settings)?))
+}
+
+#[cfg(feature = "libcamera")]
+fn libcamera(config: &StationFile, sensor: Sensor, trigger: Option<LineName>) -> Result<Box<dyn Watch + Send>, Error> {
+    let keys = &config.camera;
+    let (device, rate, lag, controls) = (named(&keys.device), keys.rate, keys.lag_images, keys.controls.clone());
+    let settings = LibcameraSettings { device, sensor, rate, trigger, lag, controls };
+    Ok(Box::new(LibcameraCamera::new(settings)?))
+}
+
+/// [`StationFile::not_built`] has said so before.
+#[cfg(not(feature = "libcamera"))]
+fn libcamera(_: &StationFile, _: Sensor, _: Option<LineName>) -> Result<Box<dyn Watch + Send>, Error> {
+    let (what, wanted) = ("the driver", "libcamera".into());
+    Err(Error::NotOffered { device: "camera".into(), what, wanted, offered: vec!["v4l2".into()] })
 }
 
 /// The projector.

@@ -47,7 +47,10 @@ const PATIENCE: Duration = Duration::from_secs(5);
 
 /// Why a station of such devices cannot run.
 pub(super) fn not_built(key: &str) -> String {
-    format!("{key}: this datum is built without that driver. Allowed: \"v4l2\", \"simulated\"")
+    format!(
+        "{key}: this datum is built without that driver; `cargo build --features libcamera` builds it with. Allowed: \
+         \"v4l2\", \"simulated\""
+    )
 }
 
 pub(super) fn run(a: &Arguments) -> anyhow::Result<Status> {

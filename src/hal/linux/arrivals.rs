@@ -37,7 +37,8 @@ pub(super) struct Wanted {
     pub(super) now: Duration,
     /// How long images are exposed.
     pub(super) exposure: Duration,
-    /// From an exposure's end until its image is complete, at most.
+    /// From an exposure's end until its image is complete, at most. None where the camera is triggered: it exposes nothing
+    /// else meanwhile, so an image that may belong to the trigger does.
     pub(super) readout: Duration,
 }
 
@@ -147,6 +148,15 @@ mod tests {
         let mut arrivals = Arrivals::default();
         assert_eq!(arrivals.judge(&end(1, 140), &wanted(100)), Fate::Older);
         assert_eq!(arrivals.judge(&end(2, 141), &wanted(100)), Fate::Wanted(ms(100)));
+    }
+
+    #[test]
+    fn an_image_that_is_complete_after_the_trigger_and_its_exposure_is_the_triggers() {
+        let end = |sequence, at| Arrival { sequence, stamp: Stamp::End(ms(at)), damaged: false };
+        let triggered = Wanted { readout: Duration::ZERO, ..wanted(100) };
+        let mut arrivals = Arrivals::default();
+        assert_eq!(arrivals.judge(&end(1, 107), &triggered), Fate::Older, "8 ms of exposure do not fit in");
+        assert_eq!(arrivals.judge(&end(2, 112), &triggered), Fate::Wanted(ms(104)));
     }
 
     #[test]

@@ -6,9 +6,11 @@
 use super::Sys;
 use super::arrivals::{Arrival, Arrivals, Fate, Stamp, Wanted};
 use super::clock::monotonic;
-use super::gpio::{LineName, Output, Switch};
+use super::gpio::LineName;
 use super::node::{self, Layout, Way, refused};
 use super::queue::{Control, Done, Queue, controls};
+use super::trigger::Trigger;
+use super::watch::{Stream, Watch};
 use crate::hal::{self, Error, Exposure, Sensor};
 use crate::image::Image;
 use std::collections::BTreeMap;
@@ -23,8 +25,6 @@ use v4l::{Device, Fraction};
 const DEVICE: &str = "camera";
 /// One is being filled, one waits to be, the others bridge the time until we look.
 const BUFFERS: u32 = 4;
-/// How long the trigger line is on: cameras ask for some microseconds behind their filter.
-const PULSE: Duration = Duration::from_micros(200);
 /// Where a poll ends early with nothing to take.
 const LOOK: Duration = Duration::from_millis(1);
 // linux/v4l2-controls.h
@@ -58,32 +58,11 @@ pub struct CameraSettings {
     pub controls: BTreeMap<String, i64>,
 }
 
-/// What a stream of images was like.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stream {
-    /// Images per second, as their stamps have it.
-    pub rate: f64,
-    /// Images that came, that were exposed and never came, that came twice, that came damaged.
-    pub came: usize,
-    /// See there.
-    pub lost: u64,
-    /// See there.
-    pub doubled: u64,
-    /// See there.
-    pub damaged: u64,
-    /// Whether the stamps say when an exposure began.
-    pub stamped_at_begin: bool,
-    /// Whether exposure and gain can be set.
-    pub exposure: bool,
-    /// See there.
-    pub gain: bool,
-}
-
 /// A camera on a V4L2 node.
 pub struct V4l2Camera {
     sys: Sys,
     settings: CameraSettings,
-    trigger: Option<Output>,
+    trigger: Trigger,
     open: Option<Open>,
     /// As last asked for.
     exposure: Duration,
@@ -109,7 +88,7 @@ struct Open {
 impl V4l2Camera {
     /// A camera that is opened when it is first used: it may be plugged in later. The trigger's line is taken at once.
     pub fn new(sys: Sys, settings: CameraSettings) -> Result<Self, Error> {
-        let trigger = settings.trigger.as_ref().map(|line| Output::open(DEVICE, line, false)).transpose()?;
+        let trigger = Trigger::open(DEVICE, settings.trigger.as_ref())?;
         Ok(Self {
             sys,
             settings,
@@ -123,56 +102,16 @@ impl V4l2Camera {
         })
     }
 
-    /// What the stream is like over `images` images.
-    pub fn watch(&mut self, images: usize, timeout: Duration) -> Result<Stream, Error> {
-        self.work(|camera| {
-            camera.drain()?;
-            let before = camera.arrivals.clone();
-            let (mut first, mut last, mut came) = (None, Duration::ZERO, 0);
-            let deadline = monotonic() + timeout;
-            let mut at_begin = false;
-            while came < images && monotonic() < deadline {
-                camera.pulse()?;
-                let next = monotonic() + camera.patience();
-                while let Some(done) = camera.next(next.min(deadline))? {
-                    let fate = camera.judge(&done, Duration::ZERO);
-                    camera.give_back(done.index)?;
-                    at_begin = matches!(stamp(&done), Stamp::Begin(_));
-                    if let Fate::Wanted(at) = fate {
-                        first.get_or_insert(at);
-                        last = at;
-                        came += 1;
-                    }
-                    if camera.trigger.is_some() || came == images {
-                        break;
-                    }
-                }
-            }
-            let open = camera.open.as_ref().expect("it works");
-            let time = last.saturating_sub(first.unwrap_or(last)).as_secs_f64();
-            let now = &camera.arrivals;
-            let exposed = (now.number - before.number).saturating_sub(1) as f64;
-            Ok(Stream {
-                rate: if time > 0.0 { exposed / time } else { 0.0 },
-                came,
-                lost: now.lost - before.lost,
-                doubled: now.doubled - before.doubled,
-                damaged: now.damaged - before.damaged,
-                stamped_at_begin: at_begin,
-                exposure: open.exposure.is_some(),
-                gain: open.gain.is_some(),
-            })
-        })
-    }
-
-    /// Does it with the device open. After an error it is closed: the next call starts clean.
+    /// Does it with the device open. After an error it is closed: the next call starts clean. So it is where a trigger's image
+    /// did not come: it could be taken for the next one's.
     fn work<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, Error>) -> Result<T, Error> {
         if self.open.is_none() {
             self.open = Some(self.opened()?);
             self.arrivals.restart();
         }
         let done = work(self);
-        let close = matches!(done, Err(Error::Gone { .. } | Error::Call { .. }));
+        let late = self.trigger.is_wired() && matches!(done, Err(Error::NoImage { .. }));
+        let close = late || matches!(done, Err(Error::Gone { .. } | Error::Call { .. }));
         if close {
             self.open = None;
         }
@@ -247,7 +186,7 @@ impl V4l2Camera {
             self.give_back(done.index)?;
         }
         // where every image is one of our triggers a gap says that one is lost; else all buffers may have been full
-        if self.trigger.is_none() {
+        if !self.trigger.is_wired() {
             self.arrivals.restart();
         }
         Ok(())
@@ -256,13 +195,6 @@ impl V4l2Camera {
     fn queue(&mut self) -> Result<&mut Queue, Error> {
         let gone = || Error::Gone { device: DEVICE.into() };
         self.open.as_mut().map(|o| &mut o.queue).ok_or_else(gone)
-    }
-
-    fn pulse(&mut self) -> Result<(), Error> {
-        let Some(line) = &mut self.trigger else { return Ok(()) };
-        line.set(true)?;
-        std::thread::sleep(PULSE);
-        line.set(false)
     }
 
     /// The next image by `deadline`; `None`: there was none.
@@ -288,7 +220,8 @@ impl V4l2Camera {
         let Some(open) = &self.open else { return Fate::Impossible };
         let damaged = done.flags.contains(Flags::ERROR) || done.bytes < open.layout.bytes;
         let arrival = Arrival { sequence: done.sequence, stamp: stamp(done), damaged };
-        let wanted = Wanted { asked_at, now: monotonic(), exposure: open.taken.0, readout: open.interval };
+        let readout = if self.trigger.is_wired() { Duration::ZERO } else { open.interval };
+        let wanted = Wanted { asked_at, now: monotonic(), exposure: open.taken.0, readout };
         self.arrivals.judge(&arrival, &wanted)
     }
 
@@ -304,7 +237,7 @@ impl V4l2Camera {
             let asked_at = monotonic();
             let queued = self.queue()?.queued();
             self.arrivals.ask(queued);
-            self.pulse()?;
+            self.trigger.pulse()?;
             let begun_at = loop {
                 let Some(done) = self.next(deadline)? else {
                     return Err(Error::NoImage { device: DEVICE.into(), waited: timeout });
@@ -320,7 +253,7 @@ impl V4l2Camera {
                     _ => self.give_back(done.index)?,
                 }
                 // a triggered camera exposes no other one by itself
-                if let (Some(_), Fate::Damaged(true)) = (&self.trigger, fate) {
+                if self.trigger.is_wired() && fate == Fate::Damaged(true) {
                     return Err(Error::Damaged { device: DEVICE.into() });
                 }
             };
@@ -331,9 +264,52 @@ impl V4l2Camera {
             let open = self.open.as_ref().expect("it works");
             self.handed += 1;
             // where every image is one of our triggers a gap tells; else the stamp has told all
-            let sequence = if self.trigger.is_some() { self.arrivals.number } else { self.handed };
+            let sequence = if self.trigger.is_wired() { self.arrivals.number } else { self.handed };
             return Ok(Exposure { sequence, begun_at, time: open.taken.0, gain: open.taken.1 });
         }
+    }
+}
+
+impl Watch for V4l2Camera {
+    fn watch(&mut self, images: usize, timeout: Duration) -> Result<Stream, Error> {
+        self.work(|camera| {
+            camera.drain()?;
+            let before = camera.arrivals.clone();
+            let (mut first, mut last, mut came) = (None, Duration::ZERO, 0);
+            let deadline = monotonic() + timeout;
+            let mut at_begin = false;
+            while came < images && monotonic() < deadline {
+                camera.trigger.pulse()?;
+                let next = monotonic() + camera.patience();
+                while let Some(done) = camera.next(next.min(deadline))? {
+                    let fate = camera.judge(&done, Duration::ZERO);
+                    camera.give_back(done.index)?;
+                    at_begin = matches!(stamp(&done), Stamp::Begin(_));
+                    if let Fate::Wanted(at) = fate {
+                        first.get_or_insert(at);
+                        last = at;
+                        came += 1;
+                    }
+                    if camera.trigger.is_wired() || came == images {
+                        break;
+                    }
+                }
+            }
+            let open = camera.open.as_ref().expect("it works");
+            let time = last.saturating_sub(first.unwrap_or(last)).as_secs_f64();
+            let now = &camera.arrivals;
+            let exposed = (now.number - before.number).saturating_sub(1) as f64;
+            Ok(Stream {
+                rate: if time > 0.0 { exposed / time } else { 0.0 },
+                came,
+                lost: now.lost - before.lost,
+                doubled: now.doubled - before.doubled,
+                damaged: now.damaged - before.damaged,
+                stamped_at_begin: at_begin,
+                exposure: open.exposure.is_some(),
+                gain: open.gain.is_some(),
+            })
+        })
     }
 }
 

@@ -11,6 +11,13 @@ pub(super) fn monotonic() -> Duration {
     Duration::new(u64::try_from(t.tv_sec).unwrap_or(0), u32::try_from(t.tv_nsec).unwrap_or(0))
 }
 
+/// Now, with the time that the computer has slept.
+#[cfg(feature = "libcamera")]
+pub(super) fn boot() -> Duration {
+    let t = clock_gettime(ClockId::Boottime);
+    Duration::new(u64::try_from(t.tv_sec).unwrap_or(0), u32::try_from(t.tv_nsec).unwrap_or(0))
+}
+
 /// A station's clock for real devices.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct MonotonicClock;
