@@ -4,7 +4,7 @@
 use crate::pins::{self, PRESENCE};
 use crate::player::{Player, digest};
 use crate::plc::{Outcome, Plc};
-use crate::program::{Program, doctor, lit, safe};
+use crate::program::{Program, doctor, doctor_of, lit, safe};
 use crate::vehicles::{self, Expected, SCALE, Six, scene};
 use anyhow::{Context, bail, ensure};
 use datum::Capture;
@@ -12,7 +12,7 @@ use datum::fringe::PatternSet;
 use datum::sim::Setup;
 use std::collections::HashMap;
 use std::path::PathBuf;
-use std::process::ExitCode;
+use std::process::{Command, ExitCode};
 use std::sync::Arc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -29,7 +29,7 @@ pub(crate) struct Arguments {
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub(crate) enum Trial {
-    /// `datum doctor` finds nothing wrong
+    /// `datum doctor` finds nothing wrong, and names a format that the camera does not have
     Doctor,
     /// Poses are those of the in-process simulation
     Vehicles,
@@ -110,6 +110,15 @@ impl Bench {
     fn doctor(&self) -> anyhow::Result<()> {
         self.player.bring(&scene(0, self.jobs))?;
         doctor(&self.folder)?;
+        // a node of vimc: 8 and 10 bits, and colour
+        let modprobe = Command::new("modprobe").arg("vimc").status()?;
+        ensure!(modprobe.success(), "modprobe vimc: {modprobe}");
+        let said = doctor_of(&self.folder, "Raw Capture 0", "Y12")?;
+        let named: Vec<&str> = said.lines().skip_while(|l| !l.starts_with("WRONG  camera ")).take(2).collect();
+        println!("{}", named.join("\n"));
+        let [what, hint] = named[..] else { bail!("the wrong format is not named: {said}") };
+        ensure!(what.contains("the format Y12 is not offered, offered: ") && what.contains("GREY, Y10"), "{what}");
+        ensure!(hint.trim_start().starts_with("-> Set camera.format to one that"), "{hint}");
         self.player.leave().context("the presence line")
     }
 

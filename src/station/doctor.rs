@@ -56,6 +56,7 @@ fn bad(about: &'static str, said: impl Into<String>, hint: impl Into<String>) ->
 
 /// 2026-01-01: no station is older.
 const EARLIEST_MS: u64 = 1_767_225_600_000;
+const CAMERA: &str = "camera";
 const STORAGE: &str = "storage";
 /// With less room than this the journal is soon not written any more, bytes.
 const FULL: u64 = 64 << 20;
@@ -91,7 +92,7 @@ pub fn examine(config: &StationFile, tell: &mut dyn FnMut(Finding)) {
     }
     tell(calibration(config));
     let mut found = |about: &'static str, error: &Error| tell(wrong(about, error));
-    let camera = devices::camera(config).map_err(|e| found("camera", &e)).ok();
+    let camera = devices::camera(config).map_err(|e| found(CAMERA, &e)).ok();
     // its light's own time is what is to be measured
     let mut quick = config.clone();
     quick.projector.settle_ms = 0.0;
@@ -105,7 +106,7 @@ pub fn examine(config: &StationFile, tell: &mut dyn FnMut(Finding)) {
         let stream = camera.watch(IMAGES, WATCHED);
         let finding = match &stream {
             Ok(stream) => judge_stream(stream, config),
-            Err(e) => wrong("camera", e),
+            Err(e) => wrong(CAMERA, e),
         };
         let usable = stream.is_ok_and(|s| s.came > 0);
         tell(finding);
@@ -134,7 +135,7 @@ pub fn examine(config: &StationFile, tell: &mut dyn FnMut(Finding)) {
         return;
     };
     let mut hardware = Hardware {
-        camera: Box::new(camera),
+        camera,
         projector: projector.unwrap_or_else(|| Box::new(NoProjector)),
         bars: Box::new(bars),
         presence: presence.flatten().map(|p| Box::new(p) as _),
@@ -266,11 +267,18 @@ fn wrong(about: &'static str, error: &Error) -> Finding {
         Error::Absent { what: "V4L2 node", .. } => {
             "Check cable and power, and the key `device`: there are those named."
         }
+        Error::Absent { what: "libcamera camera", .. } => {
+            "Check cable and power, camera.device and the device tree: libcamera knows those named (`cam -l`)."
+        }
         Error::Absent { what: "control", .. } => "Check camera.controls: the camera has those named.",
         Error::Absent { .. } => "Check the key: there are those named.",
         Error::NotOffered { what: "the use", .. } => WRONG_NODE,
         Error::Call { source, .. } if source.raw_os_error() == Some(NO_SUCH_IOCTL) => WRONG_NODE,
-        Error::NotOffered { .. } => "Set the format to one that the device offers.",
+        Error::NotOffered { what: "the format", .. } if about == CAMERA => {
+            "Set camera.format to one that the camera offers: GREY for R8, Y10 for R10."
+        }
+        Error::NotOffered { what: "the format", .. } => "It takes no grey pictures: another node, or another device.",
+        Error::NotOffered { .. } => "Set the key to one of those that it offers.",
         Error::Size { .. } => "Set width and height to a size that the device offers, and calibrate with that.",
         Error::NoImage { .. } => "It is there but sends no images: check its trigger and its cable.",
         Error::Pulses { found: 0, .. } => {
@@ -283,7 +291,7 @@ fn wrong(about: &'static str, error: &Error) -> Finding {
 }
 
 fn judge_stream(stream: &Stream, config: &StationFile) -> Finding {
-    const ABOUT: &str = "camera";
+    const ABOUT: &str = CAMERA;
     let Stream { rate, came, lost, doubled, damaged, .. } = *stream;
     let mut said = format!("{came} images, {rate:.1}/s, {lost} lost, {doubled} doubled, {damaged} damaged");
     if came == 0 {
@@ -618,12 +626,15 @@ mod tests {
         let absent = |what| Error::Absent { device: device(), what, wanted: "x".into(), there: vec![] };
         let offered =
             |what| Error::NotOffered { device: device(), what, wanted: "x".into(), offered: vec!["GREY".into()] };
+        let found = wrong("projector", &offered("the format"));
+        assert!(found.hint.starts_with("It takes no grey pictures"), "{found:?}");
         for (error, says) in [
             (call(ErrorKind::PermissionDenied), "No permission"),
             (call(ErrorKind::NotFound), "There is no such node"),
             (absent("PWM chip of device"), "The PWM is absent"),
             (offered("the use"), "This is the wrong node"),
-            (offered("the format"), "Set the format"),
+            (offered("the format"), "Set camera.format"),
+            (absent("libcamera camera"), "Check cable and power, camera.device"),
             (Error::Size { device: device(), what: "image", found: (1, 2), allowed: (3, 4) }, "Set width and height"),
         ] {
             let found = wrong("camera", &error);
