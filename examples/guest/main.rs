@@ -35,7 +35,7 @@ enum Command {
     Trials(trials::Arguments),
     /// Takes images over libcamera
     #[cfg(feature = "libcamera")]
-    Libcamera,
+    Libcamera(sensor::Arguments),
     /// Sends images of 2592×1944 through the camera's nodes and compares what comes out
     Exact,
 }
@@ -46,7 +46,7 @@ fn main() -> ExitCode {
         Command::Prepare(a) => vehicles::run(&a),
         Command::Trials(a) => trials::run(&a),
         #[cfg(feature = "libcamera")]
-        Command::Libcamera => sensor::run(),
+        Command::Libcamera(a) => sensor::run(&a),
         Command::Exact => exact::run(),
     };
     done.unwrap_or_else(|e| {

@@ -29,10 +29,21 @@ const RETURNS: usize = 20;
 /// Ready again after it has returned.
 const READY_AGAIN: Duration = Duration::from_secs(5);
 
-pub(crate) fn run() -> anyhow::Result<ExitCode> {
+#[derive(Debug, clap::Args)]
+pub(crate) struct Arguments {
+    /// Only that the camera goes and returns
+    #[arg(long)]
+    unplug: bool,
+}
+
+pub(crate) fn run(a: &Arguments) -> anyhow::Result<ExitCode> {
     let modprobe = Command::new("modprobe").arg("vimc").status()?;
     ensure!(modprobe.success(), "modprobe vimc: {modprobe}");
     udev()?;
+    if a.unplug {
+        unplug()?;
+        return Ok(ExitCode::SUCCESS);
+    }
     wrong()?;
     for (bits, fourcc) in [(8, *b"GREY"), (10, *b"Y10 ")] {
         stream(bits, fourcc).with_context(|| format!("{bits} bits"))?;
@@ -217,6 +228,7 @@ fn unplug() -> anyhow::Result<()> {
             sleep(Duration::from_millis(20));
         }
         ready = ready.max(back_at.elapsed());
+        println!("return {time}: an image after {:?}", back_at.elapsed());
         ensure!(hash(&image) == wanted, "time {time}: another image");
     }
     println!("gone and back {RETURNS} times: noticed within {noticed:?}, an image again within {ready:?}");

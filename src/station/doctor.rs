@@ -275,7 +275,7 @@ fn wrong(about: &'static str, error: &Error) -> Finding {
         Error::NotOffered { what: "the use", .. } => WRONG_NODE,
         Error::Call { source, .. } if source.raw_os_error() == Some(NO_SUCH_IOCTL) => WRONG_NODE,
         Error::NotOffered { what: "the format", .. } if about == CAMERA => {
-            "Set camera.format to one that the camera offers: GREY for R8, Y10 for R10."
+            "Set camera.format to one that the camera offers (libcamera's R8 is GREY, its R10 is Y10)."
         }
         Error::NotOffered { what: "the format", .. } => "It takes no grey pictures: another node, or another device.",
         Error::NotOffered { .. } => "Set the key to one of those that it offers.",

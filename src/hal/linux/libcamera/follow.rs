@@ -105,7 +105,7 @@ mod tests {
     fn requests_that_carry_former_settings_and_the_sensors_lag_are_waited_for() {
         let mut follow = Follow::default();
         follow.set(ms(2), 1.0, 0);
-        assert!(matches!(judge(&mut follow, &came(1, 1), 0), Verdict::Pass));
+        assert_eq!(judge(&mut follow, &came(1, 1), 1), Verdict::Pass);
         assert!(matches!(judge(&mut follow, &came(2, 1), 0), Verdict::Take(..)));
         follow.set(ms(8), 1.0, 2);
         assert_eq!(follow.settings(), 2);
