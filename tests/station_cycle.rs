@@ -243,7 +243,12 @@ fn a_station_that_is_too_hot_says_so_stays_dark_and_measures_again_when_it_has_c
     let temperatures = Temperatures { projector, most: [90.0, 80.0, 70.0], ..Temperatures::default() };
     let fit = |_: &Simulated, h: &mut Hardware| h.temperatures = temperatures.clone();
     let mut bench = Bench::with(config(), Script::default(), jobs(), fit, None);
-    assert!(bench.until(State::Ready, 20) && bench.status.projector_celsius == Some(65.0));
+    assert!(bench.until(State::Ready, 20));
+    let warm = |bench: &mut Bench| {
+        bench.turn();
+        bench.status.projector_celsius == Some(65.0)
+    };
+    assert!((0..50).any(|_| warm(&mut bench)), "{:?}", bench.status.projector_celsius);
     is(71);
     let mut told = Vec::new();
     while bench.status.state == State::Ready && told.len() < 100 {

@@ -35,6 +35,7 @@ fn holding(bits: u8) -> Vec<(Format, Packing)> {
 }
 
 /// The names under which libcamera knows them.
+#[cfg(feature = "libcamera")]
 pub(super) fn names(bits: u8) -> &'static str {
     match bits {
         8 => "R8",
