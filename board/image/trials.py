@@ -11,7 +11,6 @@ import json
 import os
 import random
 import re
-import shutil
 import signal
 import socket
 import struct
@@ -60,7 +59,8 @@ class Guest:
                    "-device", "virtio-net-pci,netdev=net,romfile=",
                    "-serial", f"unix:{console},server=on,wait=off"]
         if self.stick:
-            command += ["-drive", f"if=none,file={self.stick},format=raw,readonly=on,id=stick", "-device", "virtio-blk-pci,drive=stick"]
+            command += ["-drive", f"if=none,file={self.stick},format=raw,readonly=on,id=stick", "-device", "qemu-xhci",
+                        "-device", "usb-storage,drive=stick"]
         self.process = subprocess.Popen(command)
         self.begun = time.monotonic()
         for _ in range(100):
@@ -257,18 +257,22 @@ def keep_some(guest):
 
 
 def stick(out, *bundles):
-    """A medium with bundles, as a USB stick is put in."""
-    folder, image = f"{out}/stick", f"{out}/stick.img"
-    shutil.rmtree(folder, ignore_errors=True)
-    os.makedirs(folder)
-    for bundle in bundles:
-        shutil.copy(f"{out}/{bundle}", folder)
-    subprocess.run(["mksquashfs", folder, image, "-comp", "lz4", "-noappend", "-quiet", "-no-progress"], check=True)
+    """A USB stick with bundles, as it comes from a shop: one partition, FAT."""
+    image = f"{out}/stick.img"
+    size = sum(os.path.getsize(f"{out}/{bundle}") for bundle in bundles) + (64 << 20)
+    start = 2048  # of the partition, in sectors of 512 bytes
+    with open(image, "wb") as f:
+        f.truncate(size)
+    subprocess.run(["sfdisk", "-q", image], input=f"{start},,c\n", text=True, check=True)
+    subprocess.run(["mkfs.vfat", "-F", "32", "--offset", str(start), image, str((size >> 10) - start // 2)],
+                   check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(["mcopy", "-i", f"{image}@@{start * 512}", *[f"{out}/{bundle}" for bundle in bundles], "::"], check=True)
     return image
 
 
 def mount_stick(guest):
-    guest.ok("modprobe virtio_blk; sleep 1; mount -t squashfs -o ro /dev/vda /mnt")
+    """As board/README.md says it, once the kernel has found the stick."""
+    guest.ok("for n in $(seq 120); do [ ! -b /dev/sda1 ] || break; sleep 1; done; mountpoint -q /mnt || mount -o ro /dev/sda1 /mnt", 600)
 
 
 def install(guest, bundle):
@@ -363,7 +367,7 @@ def trial_bad(out, _):
         if bundle == "next.raucb":  # by a longer baseline their poses are others: they are not reproduced
             kept = "/data/datum/records/captures/*/calibration.toml"
             guest.ok(f"sed -i -E 's/^translation_mm = .([0-9]+)[.]/translation_mm = [\\1.1/' {kept} && grep -q '^translation_mm = .[0-9]*[.]1' {kept} && sync")
-        guest.run("mountpoint -q /mnt || mount -t squashfs -o ro /dev/vda /mnt")
+        mount_stick(guest)
         status, said, took = install(guest, bundle)
         must(status == 0, f"{bundle}: {said}")
         begun = time.monotonic()
@@ -399,7 +403,7 @@ def trial_install_cuts(out, n):
     for k in range(n or 10):
         slot = guest.slot()
         before = guest.records()[0]
-        guest.run("mountpoint -q /mnt || mount -t squashfs -o ro /dev/vda /mnt")
+        mount_stick(guest)
         guest.console.sendall(b"rauc install /mnt/next.raucb\n")
         after_s = rng.uniform(0.05, 1.0) * took
         end = time.monotonic() + after_s
