@@ -385,6 +385,12 @@ def trial_bad(out, _):
         must(guest.slot() == "A", "the former version runs again")
         measures(guest)
         print(f"{bundle} ({why}): {tried} starts, back in slot A and measuring after {time.monotonic() - begun:.0f} s")
+    guest.ok("tail -1 /var/lib/datum/refused | sed 's/.* build \\([^:]*\\): .*/\\1/' >>/var/lib/datum/accepted && rauc status mark-active other")
+    reboot(guest)
+    must(guest.slot() == "B", "the version that was accepted by hand runs")
+    measures(guest)
+    must("is good" in wait_good(guest), "the version that was accepted by hand is not marked good")
+    print("accepted by hand, the refused version runs in slot B and is marked good")
     must(guest.ok("sha256sum /data/datum/station.toml") == config, "the configuration changed")
     guest.power_off()
 
