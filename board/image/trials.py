@@ -256,9 +256,9 @@ def keep_some(guest):
     raise Failed(f"{said} kept captures")
 
 
-def stick(out, *bundles):
+def stick(out, name, *bundles):
     """A USB stick with bundles, as it comes from a shop: one partition, FAT."""
-    image = f"{out}/stick.img"
+    image = f"{out}/{name}.stick"
     size = sum(os.path.getsize(f"{out}/{bundle}") for bundle in bundles) + (64 << 20)
     start = 2048  # of the partition, in sectors of 512 bytes
     with open(image, "wb") as f:
@@ -310,7 +310,7 @@ def trial_memory(out, n):
 
 
 def trial_update(out, _):
-    guest = first_start(out, "update", stick(out, "next.raucb"))
+    guest = first_start(out, "update", stick(out, "update", "next.raucb"))
     must(guest.slot() == "A", "the factory's slot is A")
     wait_good(guest)
     keep_some(guest)
@@ -350,7 +350,7 @@ def measures(guest, seconds=900):
 
 
 def trial_bad(out, _):
-    guest = first_start(out, "bad", stick(out, "fails.raucb", "hangs.raucb", "foreign.raucb", "torn.raucb", "next.raucb"))
+    guest = first_start(out, "bad", stick(out, "bad", "fails.raucb", "hangs.raucb", "foreign.raucb", "torn.raucb", "next.raucb"))
     wait_good(guest)
     keep_some(guest)
     config = guest.ok("sha256sum /data/datum/station.toml")
@@ -397,7 +397,7 @@ def trial_bad(out, _):
 
 def trial_install_cuts(out, n):
     rng = random.Random(10)
-    guest = first_start(out, "install-cuts", stick(out, "next.raucb"))
+    guest = first_start(out, "install-cuts", stick(out, "install-cuts", "next.raucb"))
     wait_good(guest)
     config = guest.ok("sha256sum /data/datum/station.toml")
     mount_stick(guest)
