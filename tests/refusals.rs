@@ -722,8 +722,8 @@ fn cases(setup: &Setup, px: f64) -> Vec<Case> {
     }
     for sigma in [1.0, 2.0, 4.0] {
         c.add(sigma == 4.0, "out of focus", format!("red {sigma} px"), move |s, _| {
-            // a lens does not blur one and leave the other sharp
-            [Some(&mut s.red), s.ambient.as_mut()].into_iter().flatten().for_each(|i| blur(i, sigma));
+            s.ambient = None; // subtracted sharp, it would leave edges that no lens makes
+            blur(&mut s.red, sigma);
         });
         c.add(sigma == 4.0, "out of focus", format!("all {sigma} px"), move |s, _| {
             s.images().for_each(|i| blur(i, sigma));
