@@ -37,6 +37,26 @@ pub struct Sensor {
     pub serial: String,
 }
 
+impl Sensor {
+    /// That `image` has its size; else [`Error::Size`] of `device`.
+    pub(crate) fn fits(&self, device: &str, image: &Image<u16>) -> Result<(), Error> {
+        let (found, allowed) = ((image.width, image.height), (self.width, self.height));
+        if found == allowed {
+            Ok(())
+        } else {
+            Err(Error::Size { device: device.into(), what: "buffer", found, allowed })
+        }
+    }
+}
+
+/// That `gain` is at least 1; else [`Error::Setting`] of `device`.
+fn at_least_1(device: &str, gain: f64) -> Result<(), Error> {
+    if gain >= 1.0 {
+        return Ok(());
+    }
+    Err(Error::Setting { device: device.into(), setting: "gain", value: gain, allowed: "a number of at least 1" })
+}
+
 /// How an image was exposed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Exposure {

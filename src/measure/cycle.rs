@@ -127,7 +127,7 @@ impl<'a> Cycle<'a> {
             .iter()
             .map(|t| first_pose.map_or(0.0, |pose| saturated_share(raw, white, camera, &t.local(&pose).origin.xyz)))
             .collect();
-        let light = Light::new(&red, capture.camera.black_level);
+        let light = Light::new(raw, &red, capture.camera.black_level);
         let early_edges = first_pose.and_then(|pose| {
             let noise = stated_red_noise(capture)?;
             let windows = contour_windows(measurer, &pose, EDGE_MARGIN_MM);
@@ -435,8 +435,7 @@ impl<'c> Run<'c, '_> {
             _ => Code::TooFewFeatures,
         };
         let contours = codes.iter().all(|c| (401..=406).contains(&c.number()));
-        let blur = || self.cycle.light.blur_px(&self.cycle.red).filter(|blur| *blur > MAX_BLUR_PX);
-        if let Some(blur) = contours.then(blur).flatten() {
+        if let Some(blur) = self.cycle.light.blur_px.filter(|blur| contours && *blur > MAX_BLUR_PX) {
             let detail = format!(
                 "Its sharpest edges are blurred by {blur:.1} px, allowed {MAX_BLUR_PX} px. {}.",
                 reasons.join(", ")

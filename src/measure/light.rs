@@ -7,13 +7,14 @@ use nalgebra::Vector3;
 
 /// How the red image is lit, whatever it shows.
 pub(super) struct Light {
-    /// Upper quartile of the grey levels above black: the body's.
+    /// Upper quartile of the grey levels above black, without the hall's light: the body's.
     pub(super) body: f64,
-    /// What nearly all grey levels lie above, above black.
-    dark: f64,
-    /// The upper quartile, above nothing.
-    bright: f64,
+    /// Blur of the sharpest edges, px, 1 sigma, where it shows anything dark beside the body.
+    pub(super) blur_px: Option<f64>,
 }
+
+/// Rows that are enough to see how sharp an image is.
+const ROWS: usize = 250;
 
 fn quantile(values: &mut [f32], q: f64) -> f64 {
     let k = ((values.len() - 1) as f64 * q) as usize;
@@ -21,25 +22,30 @@ fn quantile(values: &mut [f32], q: f64) -> f64 {
 }
 
 impl Light {
-    pub(super) fn new(red: &Image<f32>, black: f64) -> Self {
+    /// Of the red image as it was taken, and without the hall's light.
+    pub(super) fn new(taken: &Image<u16>, red: &Image<f32>, black: f64) -> Self {
         let mut levels = List::of(red.pixels.iter().step_by(31).copied());
-        let (dark, bright) = (quantile(&mut levels, 0.05), quantile(&mut levels, 0.75));
-        Self { body: bright - black, dark: dark - black, bright }
+        Self { body: quantile(&mut levels, 0.75) - black, blur_px: blur_px(taken, black) }
     }
+}
 
-    /// Blur of the sharpest edges of `red`, px, 1 sigma, where it shows anything dark beside the body.
-    pub(super) fn blur_px(&self, red: &Image<f32>) -> Option<f64> {
-        if self.dark >= 0.5 * self.body {
-            return None;
-        }
-        let at = |x: usize, y: usize| red.at(x, y).min(self.bright as f32);
-        let places = (1..red.height - 1).step_by(2).flat_map(|y| (1..red.width - 1).map(move |x| (x, y)));
-        let slope = |(x, y)| 0.5 * (at(x + 1, y) - at(x - 1, y)).hypot(at(x, y + 1) - at(x, y - 1));
-        let mut slopes = List::of(places.map(slope));
-        // a step of this height blurred by sigma rises by height / (sigma √2π) at its steepest
-        let steepest = quantile(&mut slopes, 0.999);
-        Some(self.body / (steepest.max(1e-6) * std::f64::consts::TAU.sqrt()))
+/// Seen as it was taken: what is subtracted has edges of its own, and of a blurred image how much is to be subtracted is hard
+/// to tell.
+fn blur_px(taken: &Image<u16>, black: f64) -> Option<f64> {
+    let mut levels = List::of(taken.pixels.iter().step_by(31).map(|v| f32::from(*v)));
+    let (dark, bright) = (quantile(&mut levels, 0.05), quantile(&mut levels, 0.75));
+    let body = bright - black;
+    if dark - black >= 0.5 * body {
+        return None;
     }
+    let at = |x: usize, y: usize| f32::from(taken.at(x, y)).min(bright as f32);
+    let rows = (1..taken.height - 1).step_by((taken.height / ROWS).max(1));
+    let places = rows.flat_map(|y| (1..taken.width - 1).map(move |x| (x, y)));
+    let slope = |(x, y)| 0.5 * (at(x + 1, y) - at(x - 1, y)).hypot(at(x, y + 1) - at(x, y - 1));
+    let mut slopes = List::of(places.map(slope));
+    // a step of this height blurred by sigma rises by height / (sigma √2π) at its steepest
+    let steepest = quantile(&mut slopes, 0.999);
+    Some(body / (steepest.max(1e-6) * std::f64::consts::TAU.sqrt()))
 }
 
 /// Share of saturated pixels within 20 mm of a point, in the red image.

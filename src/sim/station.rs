@@ -317,10 +317,7 @@ impl hal::Camera for Camera {
         let mut world = self.world.world();
         let world = &mut *world;
         let device = || Self::NAME.to_owned();
-        let (found, allowed) = ((image.width, image.height), (self.sensor.width, self.sensor.height));
-        if found != allowed {
-            return Err(Error::Size { device: device(), what: "buffer", found, allowed });
-        }
+        self.sensor.fits(Self::NAME, image)?;
         Self::here(world)?;
         let asked_at = world.now;
         let deadline = asked_at.saturating_add(timeout);

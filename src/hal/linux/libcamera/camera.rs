@@ -237,18 +237,12 @@ impl hal::Camera for LibcameraCamera {
     }
 
     fn set_gain(&mut self, wanted: f64) -> Result<f64, Error> {
-        if wanted.is_nan() || wanted < 1.0 {
-            let allowed = "a number of at least 1";
-            return Err(Error::Setting { device: DEVICE.into(), setting: "gain", value: wanted, allowed });
-        }
+        hal::at_least_1(DEVICE, wanted)?;
         self.work(|camera| camera.set(camera.exposure, wanted).map(|taken| taken.1))
     }
 
     fn grab(&mut self, timeout: Duration, image: &mut Image<u16>) -> Result<Exposure, Error> {
-        let (found, allowed) = ((image.width, image.height), (self.sensor().width, self.sensor().height));
-        if found != allowed {
-            return Err(Error::Size { device: DEVICE.into(), what: "buffer", found, allowed });
-        }
+        self.sensor().fits(DEVICE, image)?;
         self.work(|camera| camera.take(timeout, image))
     }
 
